@@ -1,0 +1,99 @@
+//! Streams of surfels.
+
+use crate::Surfel;
+use pbgi_math::{Aabb, DVec3, Vec3};
+use std::path::{Path, PathBuf};
+
+/// Why a cloud could not be read or written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum CloudError {
+    /// The operating system refused.
+    #[error("{}: {action} failed: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What was tried: "open", "read", "write" …
+        action: &'static str,
+        /// The cause.
+        source: std::io::Error,
+    },
+    /// The file is not what it claims to be.
+    #[error("{}: {message}", path.display())]
+    Malformed {
+        /// The file.
+        path: PathBuf,
+        /// Place, what was found, what was expected, and the cure if there is one.
+        message: String,
+    },
+}
+
+impl CloudError {
+    /// An [`CloudError::Io`] for `path`.
+    pub fn io(path: &Path, action: &'static str, source: std::io::Error) -> Self {
+        Self::Io { path: path.to_owned(), action, source }
+    }
+
+    /// A [`CloudError::Malformed`] for `path`.
+    pub fn malformed(path: &Path, message: impl Into<String>) -> Self {
+        Self::Malformed { path: path.to_owned(), message: message.into() }
+    }
+}
+
+/// A stream of surfels in a fixed order: reading it again from the start gives the same surfels.
+pub trait SurfelSource: Send {
+    /// World position of the surfels' coordinate origin.
+    fn origin(&self) -> DVec3 {
+        DVec3::ZERO
+    }
+
+    /// Box of all centers, where known before reading.
+    fn bounds(&self) -> Option<Aabb> {
+        None
+    }
+
+    /// Number of surfels, where known before reading.
+    fn count(&self) -> Option<u64> {
+        None
+    }
+
+    /// Appends the next surfels to `out`, at most a few thousand; `false` when there are no more.
+    /// Every surfel is valid: finite, radius and area above 0.
+    ///
+    /// # Errors
+    ///
+    /// If the cloud cannot be read on.
+    fn read_chunk(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError>;
+}
+
+/// Surfels in memory as a stream.
+pub struct SliceSource<'a> {
+    surfels: &'a [Surfel],
+    next: usize,
+}
+
+impl<'a> SliceSource<'a> {
+    /// A stream over `surfels`.
+    #[must_use]
+    pub fn new(surfels: &'a [Surfel]) -> Self {
+        Self { surfels, next: 0 }
+    }
+}
+
+impl SurfelSource for SliceSource<'_> {
+    fn bounds(&self) -> Option<Aabb> {
+        Some(Aabb::from_points(self.surfels.iter().map(|s| Vec3::from_array(s.position))))
+    }
+
+    fn count(&self) -> Option<u64> {
+        Some(self.surfels.len() as u64)
+    }
+
+    fn read_chunk(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
+        const CHUNK: usize = 4096;
+        let end = (self.next + CHUNK).min(self.surfels.len());
+        out.extend_from_slice(&self.surfels[self.next..end]);
+        self.next = end;
+        Ok(end < self.surfels.len())
+    }
+}

@@ -1,0 +1,30 @@
+//! Geometry and arithmetic that every other crate of the engine rests on.
+//!
+//! Arithmetic only. This crate must never open a file, start a thread, read a clock or hold a global.
+#![forbid(unsafe_code)]
+
+mod bounds;
+mod cube;
+mod frame;
+mod morton;
+mod octahedral;
+mod rgbe;
+mod sh;
+mod solid_angle;
+
+pub use bounds::{Aabb, Cone};
+pub use cube::{CubeFace, CubeMap, CubeTexel};
+pub use frame::Frame;
+pub use glam::{Affine3A, DVec3, Mat3, Mat4, Vec2, Vec3, Vec4};
+pub use morton::{MORTON_AXIS_BITS, MortonCode, RootCube};
+pub use octahedral::{decode_octahedral, encode_octahedral};
+pub use rgbe::SharedExponent;
+pub use sh::{SH_COUNT, Sh9, clamped_cosine_sh, evaluate_sh_basis};
+pub use solid_angle::{disk_solid_angle, sphere_sin2_for_solid_angle, sphere_solid_angle};
+
+/// Relative luminance of linear Rec. 709 RGB.
+#[must_use]
+#[inline]
+pub fn luminance(rgb: [f32; 3]) -> f32 {
+    0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2]
+}
