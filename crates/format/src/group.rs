@@ -1,0 +1,348 @@
+//! Groups: an inner node with what is stored of its children.
+
+use crate::{Channels, FormatError, Lobe, MiniFloat, read_f32, read_u32};
+use pbgi_math::{Aabb, Vec3};
+
+/// Most children of a group: the octants of its cell.
+pub const CHILDREN_MAX: usize = 8;
+
+/// Bytes of a group before its links.
+pub const GROUP_FIXED_BYTES: usize = 44;
+
+const EXTERNAL: u32 = 1 << 31;
+const LEAF_COUNT_BITS: u32 = 8;
+
+/// Where the contents of a child lie.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ChildLink {
+    /// A group in the same page, at this byte offset.
+    Group(u32),
+    /// A group in another page: index into the page's external links.
+    External(u32),
+    /// A leaf: `count` surfels from `first` on in the page's surfel page.
+    Leaf {
+        /// First surfel.
+        first: u32,
+        /// Surfels, 1..=255.
+        count: u32,
+    },
+}
+
+/// Box of a child in 256ths of its group's box, rounded outward.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ChildBox {
+    /// Smallest corner.
+    pub min: [u8; 3],
+    /// Largest corner.
+    pub max: [u8; 3],
+}
+
+impl ChildBox {
+    /// The smallest stored box around `child`, which lies in `group`.
+    #[must_use]
+    pub fn around(child: &Aabb, group: &Aabb) -> Self {
+        let extent = group.extent();
+        let mut stored = Self { min: [0; 3], max: [0; 3] };
+        for axis in 0..3 {
+            let step = extent[axis] * (1.0 / 255.0);
+            if !(step > 0.0) {
+                continue;
+            }
+            // Move outward until the decoded corner is conservative in f32 arithmetic, too.
+            let mut low = ((child.min[axis] - group.min[axis]) / step).clamp(0.0, 255.0) as u8;
+            while low > 0 && group.min[axis] + f32::from(low) * step > child.min[axis] {
+                low -= 1;
+            }
+            let ratio = (child.max[axis] - group.min[axis]) / step;
+            let mut high = ratio.ceil().clamp(0.0, 255.0) as u8;
+            while high < 255 && group.min[axis] + f32::from(high) * step < child.max[axis] {
+                high += 1;
+            }
+            stored.min[axis] = low;
+            stored.max[axis] = high;
+        }
+        stored
+    }
+}
+
+/// What is written of a group besides its children.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GroupFields {
+    /// Tight box of all its surfels' area-true disks.
+    pub bounds: Aabb,
+    /// Center of the octree cell: where its octants meet.
+    pub split: Vec3,
+    /// How far covering disks reach out of `bounds` at most.
+    pub cover_margin: f32,
+    /// Octants that have a child; children are stored in octant order.
+    pub octants: u8,
+    /// Octants whose child is a leaf.
+    pub leaves: u8,
+}
+
+/// Bytes of a group with `child_count` children and `lobe_count` lobes in all.
+#[must_use]
+pub fn group_bytes(child_count: usize, lobe_count: usize, channels: Channels) -> usize {
+    let unaligned = GROUP_FIXED_BYTES + 4 * child_count + 7 * child_count;
+    unaligned.next_multiple_of(4) + lobe_count * Lobe::stored_bytes(channels)
+}
+
+/// Appends a group: its fields, and of each child its link, its box and its lobes.
+///
+/// # Panics
+///
+/// If the children do not match `fields.octants`, or a link is out of range.
+pub fn write_group(
+    fields: &GroupFields,
+    children: &[(ChildLink, ChildBox, &[Lobe])],
+    codecs: (Channels, MiniFloat, f32),
+    out: &mut Vec<u8>,
+) {
+    assert_eq!(children.len(), fields.octants.count_ones() as usize, "one child per octant");
+    let start = out.len();
+    for v in [fields.bounds.min, fields.bounds.max, fields.split] {
+        for c in v.to_array() {
+            out.extend_from_slice(&c.to_le_bytes());
+        }
+    }
+    out.extend_from_slice(&fields.cover_margin.to_le_bytes());
+    let lobe_count: usize = children.iter().map(|c| c.2.len()).sum();
+    assert!(lobe_count <= CHILDREN_MAX * crate::LOBES_MAX, "at most four lobes per child");
+    out.extend_from_slice(&[fields.octants, fields.leaves, lobe_count as u8, 0]);
+    for (link, ..) in children {
+        let code = match *link {
+            ChildLink::Group(offset) => {
+                assert!(offset % 4 == 0 && offset < EXTERNAL, "aligned offset in the page");
+                offset
+            }
+            ChildLink::External(index) => EXTERNAL | index,
+            ChildLink::Leaf { first, count } => {
+                assert!((1..256).contains(&count) && first < 1 << 24, "leaf fits its link");
+                (first << LEAF_COUNT_BITS) | count
+            }
+        };
+        out.extend_from_slice(&code.to_le_bytes());
+    }
+    for axis in 0..3 {
+        out.extend(children.iter().map(|c| c.1.min[axis]));
+    }
+    for axis in 0..3 {
+        out.extend(children.iter().map(|c| c.1.max[axis]));
+    }
+    let mut end = 0u8;
+    for child in children {
+        end += child.2.len() as u8;
+        out.push(end);
+    }
+    out.resize(start + (out.len() - start).next_multiple_of(4), 0);
+    let (channels, area, radiance_scale) = codecs;
+    for lobe in children.iter().flat_map(|c| c.2) {
+        lobe.write(channels, area, radiance_scale, out);
+    }
+}
+
+/// A group in a verified page.
+#[derive(Clone, Copy, Debug)]
+pub struct GroupView<'a> {
+    bytes: &'a [u8],
+    child_count: usize,
+}
+
+impl<'a> GroupView<'a> {
+    /// Views the group at `offset` of a page whose groups end at `groups_end`.
+    ///
+    /// # Errors
+    ///
+    /// If the group is not wholly inside.
+    #[inline(always)]
+    pub fn new(
+        page: &'a [u8],
+        groups_end: usize,
+        offset: u32,
+        channels: Channels,
+    ) -> Result<Self, FormatError> {
+        let offset = offset as usize;
+        if offset < crate::NODE_PAGE_HEADER_BYTES || offset + GROUP_FIXED_BYTES > groups_end {
+            return Err(FormatError::new("group: offset", offset, "a place inside its page"));
+        }
+        let child_count = page[offset + 40].count_ones() as usize;
+        let bytes = group_bytes(child_count, usize::from(page[offset + 42]), channels);
+        if child_count == 0 || offset + bytes > groups_end {
+            return Err(FormatError::new(
+                "group: children",
+                child_count,
+                "1 to 8, inside the page",
+            ));
+        }
+        Ok(Self { bytes: &page[offset..offset + bytes], child_count })
+    }
+
+    /// Bytes of the group.
+    #[must_use]
+    pub fn stored_bytes(&self) -> usize {
+        self.bytes.len()
+    }
+
+    /// Number of children.
+    #[must_use]
+    #[inline(always)]
+    pub fn child_count(&self) -> usize {
+        self.child_count
+    }
+
+    /// Fields other than the children's.
+    #[must_use]
+    #[inline(always)]
+    pub fn fields(&self) -> GroupFields {
+        let v = |at| {
+            Vec3::new(
+                read_f32(self.bytes, at),
+                read_f32(self.bytes, at + 4),
+                read_f32(self.bytes, at + 8),
+            )
+        };
+        GroupFields {
+            bounds: Aabb { min: v(0), max: v(12) },
+            split: v(24),
+            cover_margin: read_f32(self.bytes, 36),
+            octants: self.bytes[40],
+            leaves: self.bytes[41],
+        }
+    }
+
+    /// Link of child `index` (in octant order).
+    #[must_use]
+    #[inline(always)]
+    pub fn link(&self, index: usize, is_leaf: bool) -> ChildLink {
+        let code = read_u32(self.bytes, GROUP_FIXED_BYTES + 4 * index);
+        if is_leaf {
+            ChildLink::Leaf { first: code >> LEAF_COUNT_BITS, count: code & 0xff }
+        } else if code & EXTERNAL != 0 {
+            ChildLink::External(code & !EXTERNAL)
+        } else {
+            ChildLink::Group(code)
+        }
+    }
+
+    /// Stored corners of all children: `[min x, min y, min z, max x, max y, max z]`, each with
+    /// [`GroupView::child_count`] bytes.
+    #[must_use]
+    #[inline(always)]
+    pub fn corners(&self) -> [&'a [u8]; 6] {
+        let n = self.child_count;
+        let start = GROUP_FIXED_BYTES + 4 * n;
+        std::array::from_fn(|i| &self.bytes[start + i * n..start + (i + 1) * n])
+    }
+
+    /// Decoded box of child `index`.
+    #[must_use]
+    pub fn child_bounds(&self, index: usize) -> Aabb {
+        let bounds = self.fields().bounds;
+        let step = bounds.extent() * (1.0 / 255.0);
+        let corners = self.corners();
+        let at = |corner: usize| {
+            Vec3::new(
+                f32::from(corners[corner][index]),
+                f32::from(corners[corner + 1][index]),
+                f32::from(corners[corner + 2][index]),
+            ) * step
+                + bounds.min
+        };
+        Aabb { min: at(0), max: at(3) }
+    }
+
+    /// Stored bytes of the lobes of child `index`: a whole number of [`Lobe::stored_bytes`]; empty
+    /// where the counts are contradictory.
+    #[must_use]
+    #[inline(always)]
+    pub fn lobe_bytes(&self, index: usize, channels: Channels) -> &'a [u8] {
+        let n = self.child_count;
+        let ends = GROUP_FIXED_BYTES + 10 * n;
+        let first = if index == 0 { 0 } else { usize::from(self.bytes[ends + index - 1]) };
+        let end = usize::from(self.bytes[ends + index]);
+        let start = (ends + n).next_multiple_of(4);
+        let stride = Lobe::stored_bytes(channels);
+        self.bytes.get(start + first * stride..start + end * stride).unwrap_or(&[])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample() -> (GroupFields, Vec<(ChildLink, Aabb, Vec<Lobe>)>) {
+        let fields = GroupFields {
+            bounds: Aabb { min: Vec3::new(-1.0, 2.0, 3.0), max: Vec3::new(4.0, 2.5, 9.0) },
+            split: Vec3::new(1.5, 2.2, 6.0),
+            cover_margin: 0.05,
+            octants: 0b1001_0010,
+            leaves: 0b1000_0000,
+        };
+        let lobe = |x: f32| Lobe { vector: Vec3::X * x, width: 0.1, ..Lobe::default() };
+        let child = |a: f32, b: f32| Aabb {
+            min: Vec3::new(-1.0 + a, 2.0, 3.3),
+            max: Vec3::new(-1.0 + b, 2.41, 8.7),
+        };
+        let children = vec![
+            (ChildLink::Group(64), child(0.0, 1.3), vec![lobe(1.0)]),
+            (ChildLink::External(5), child(1.1, 2.7), vec![lobe(2.0), lobe(3.0)]),
+            (ChildLink::Leaf { first: 1000, count: 255 }, child(2.2, 5.0), vec![lobe(4.0)]),
+        ];
+        (fields, children)
+    }
+
+    #[test]
+    fn groups_round_trip() {
+        let (fields, children) = sample();
+        let boxed: Vec<_> = children
+            .iter()
+            .map(|c| (c.0, ChildBox::around(&c.1, &fields.bounds), c.2.as_slice()))
+            .collect();
+        for channels in [Channels::Occlusion, Channels::Rgb] {
+            let mut page = vec![0; crate::NODE_PAGE_HEADER_BYTES];
+            let area = MiniFloat::covering(10.0);
+            write_group(&fields, &boxed, (channels, area, 1.0), &mut page);
+            let view = GroupView::new(&page, page.len(), 32, channels).unwrap();
+            assert_eq!(view.stored_bytes(), page.len() - 32);
+            assert_eq!(view.stored_bytes(), group_bytes(3, 4, channels));
+            assert_eq!(view.fields(), fields);
+            for (i, child) in children.iter().enumerate() {
+                assert_eq!(view.link(i, i == 2), child.0);
+                assert!(view.child_bounds(i).contains_box(&child.1));
+                let slack = fields.bounds.extent() * (1.01 / 255.0);
+                assert!((view.child_bounds(i).min - child.1.min).abs().cmple(slack).all());
+                assert!((view.child_bounds(i).max - child.1.max).abs().cmple(slack).all());
+                let bytes = view.lobe_bytes(i, channels);
+                let stride = Lobe::stored_bytes(channels);
+                assert_eq!(bytes.len(), child.2.len() * stride);
+                let first = Lobe::read(bytes, channels, area, 1.0);
+                assert!((first.vector - child.2[0].vector).length() < 5e-3);
+            }
+        }
+    }
+
+    #[test]
+    fn groups_outside_their_page_are_refused() {
+        let (fields, children) = sample();
+        let boxed: Vec<_> = children
+            .iter()
+            .map(|c| (c.0, ChildBox::around(&c.1, &fields.bounds), c.2.as_slice()))
+            .collect();
+        let mut page = vec![0; 32];
+        let codecs = (Channels::Rgb, MiniFloat::covering(1.0), 1.0);
+        write_group(&fields, &boxed, codecs, &mut page);
+        for end in 32..page.len() {
+            assert!(GroupView::new(&page[..end], end, 32, Channels::Rgb).is_err());
+        }
+        for offset in [0, 4, page.len() as u32, u32::MAX] {
+            assert!(GroupView::new(&page, page.len(), offset, Channels::Rgb).is_err());
+        }
+    }
+
+    #[test]
+    fn flat_groups_store_flat_children() {
+        let group = Aabb { min: Vec3::new(0.0, 5.0, 0.0), max: Vec3::new(1.0, 5.0, 1.0) };
+        let stored = ChildBox::around(&group, &group);
+        assert_eq!((stored.min, stored.max), ([0; 3], [255, 0, 255]));
+    }
+}

@@ -1,0 +1,228 @@
+//! Pages: node pages hold groups, surfel pages the surfels of their leaves.
+
+use crate::{FormatError, PageId, read_u32};
+
+/// What a page holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum PageKind {
+    /// A treelet of groups.
+    Nodes = 1,
+    /// Surfels.
+    Surfels = 2,
+}
+
+impl PageKind {
+    pub(crate) fn from_code(code: u32) -> Result<Self, FormatError> {
+        match code {
+            1 => Ok(Self::Nodes),
+            2 => Ok(Self::Surfels),
+            _ => Err(FormatError::new("page kind", code, "1 (nodes) or 2 (surfels)")),
+        }
+    }
+}
+
+/// Bytes before the first group of a node page.
+pub const NODE_PAGE_HEADER_BYTES: usize = 32;
+
+/// Bytes before the first surfel of a surfel page.
+pub const SURFEL_PAGE_HEADER_BYTES: usize = 16;
+
+/// A link to a group in another page.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ExternalLink {
+    /// The page.
+    pub page: PageId,
+    /// Byte offset of the group in it.
+    pub offset: u32,
+}
+
+/// Header fields of a node page.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NodePageFields {
+    /// Groups in the page.
+    pub group_count: u32,
+    /// Page of the leaves' surfels, if there are leaves.
+    pub surfel_page: Option<PageId>,
+}
+
+/// Completes a node page: `page` starts with [`NODE_PAGE_HEADER_BYTES`] zero bytes and the groups;
+/// the header is filled in and the external links are appended.
+pub fn finish_node_page(page: &mut Vec<u8>, fields: NodePageFields, links: &[ExternalLink]) {
+    let links_offset = page.len() as u32;
+    for link in links {
+        page.extend_from_slice(&link.page.0.to_le_bytes());
+        page.extend_from_slice(&link.offset.to_le_bytes());
+    }
+    let surfel_page = fields.surfel_page.map_or(u32::MAX, |p| p.0);
+    for (i, value) in
+        [PageKind::Nodes as u32, fields.group_count, surfel_page, links_offset, links.len() as u32]
+            .into_iter()
+            .enumerate()
+    {
+        page[4 * i..4 * i + 4].copy_from_slice(&value.to_le_bytes());
+    }
+}
+
+/// Appends the header of a surfel page.
+pub fn write_surfel_page_header(surfel_count: u32, surfel_bytes: u32, out: &mut Vec<u8>) {
+    for value in [PageKind::Surfels as u32, surfel_count, surfel_bytes, 0] {
+        out.extend_from_slice(&value.to_le_bytes());
+    }
+}
+
+/// A decoded node page.
+#[derive(Clone, Copy, Debug)]
+pub struct NodePage<'a> {
+    bytes: &'a [u8],
+    links_offset: u32,
+    link_count: u32,
+}
+
+impl<'a> NodePage<'a> {
+    /// Views a page whose checksum is already verified.
+    ///
+    /// # Errors
+    ///
+    /// If the header contradicts the page's size.
+    pub fn new(bytes: &'a [u8]) -> Result<Self, FormatError> {
+        if bytes.len() < NODE_PAGE_HEADER_BYTES {
+            return Err(FormatError::new("node page: bytes", bytes.len(), "at least 32"));
+        }
+        if read_u32(bytes, 0) != PageKind::Nodes as u32 {
+            return Err(FormatError::new("node page: kind", read_u32(bytes, 0), 1));
+        }
+        let (links_offset, link_count) = (read_u32(bytes, 12), read_u32(bytes, 16));
+        let end = u64::from(links_offset) + 8 * u64::from(link_count);
+        if (links_offset as usize) < NODE_PAGE_HEADER_BYTES || end != bytes.len() as u64 {
+            return Err(FormatError::new("node page: end of links", end, bytes.len()));
+        }
+        if bytes[20..32].iter().any(|&b| b != 0) {
+            return Err(FormatError::new("node page: reserved", "non-zero bytes", 0));
+        }
+        Ok(Self { bytes, links_offset, link_count })
+    }
+
+    /// The whole page.
+    #[must_use]
+    #[inline(always)]
+    pub fn bytes(&self) -> &'a [u8] {
+        self.bytes
+    }
+
+    /// First byte after the groups.
+    #[must_use]
+    #[inline(always)]
+    pub fn groups_end(&self) -> usize {
+        self.links_offset as usize
+    }
+
+    /// Header fields.
+    #[must_use]
+    #[inline(always)]
+    pub fn fields(&self) -> NodePageFields {
+        let surfel_page = read_u32(self.bytes, 8);
+        NodePageFields {
+            group_count: read_u32(self.bytes, 4),
+            surfel_page: (surfel_page != u32::MAX).then_some(PageId(surfel_page)),
+        }
+    }
+
+    /// External link `index`, if there is one.
+    #[must_use]
+    #[inline(always)]
+    pub fn external_link(&self, index: u32) -> Option<ExternalLink> {
+        if index >= self.link_count {
+            return None;
+        }
+        let at = self.links_offset as usize + 8 * index as usize;
+        Some(ExternalLink {
+            page: PageId(read_u32(self.bytes, at)),
+            offset: read_u32(self.bytes, at + 4),
+        })
+    }
+}
+
+/// A decoded surfel page.
+#[derive(Clone, Copy, Debug)]
+pub struct SurfelPage<'a> {
+    surfels: &'a [u8],
+    surfel_bytes: usize,
+}
+
+impl<'a> SurfelPage<'a> {
+    /// Views a page whose checksum is already verified; `surfel_bytes` is the file's.
+    ///
+    /// # Errors
+    ///
+    /// If the header contradicts the page's size.
+    pub fn new(bytes: &'a [u8], surfel_bytes: usize) -> Result<Self, FormatError> {
+        if bytes.len() < SURFEL_PAGE_HEADER_BYTES {
+            return Err(FormatError::new("surfel page: bytes", bytes.len(), "at least 16"));
+        }
+        if read_u32(bytes, 0) != PageKind::Surfels as u32 {
+            return Err(FormatError::new("surfel page: kind", read_u32(bytes, 0), 2));
+        }
+        if read_u32(bytes, 8) as usize != surfel_bytes || read_u32(bytes, 12) != 0 {
+            return Err(FormatError::new(
+                "surfel page: bytes per surfel",
+                read_u32(bytes, 8),
+                surfel_bytes,
+            ));
+        }
+        let surfels = &bytes[SURFEL_PAGE_HEADER_BYTES..];
+        let expected = u64::from(read_u32(bytes, 4)) * surfel_bytes as u64;
+        if surfels.len() as u64 != expected {
+            return Err(FormatError::new("surfel page: surfel bytes", surfels.len(), expected));
+        }
+        Ok(Self { surfels, surfel_bytes })
+    }
+
+    /// Surfels in the page.
+    #[must_use]
+    pub fn surfel_count(&self) -> usize {
+        self.surfels.len() / self.surfel_bytes
+    }
+
+    /// Stored bytes of `count` surfels from `first` on, if they are all in the page.
+    #[must_use]
+    #[inline(always)]
+    pub fn surfels(&self, first: u32, count: u32) -> Option<&'a [u8]> {
+        let start = first as usize * self.surfel_bytes;
+        self.surfels.get(start..start + count as usize * self.surfel_bytes)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn node_pages_round_trip_and_refuse_bad_links() {
+        let mut page = vec![0; NODE_PAGE_HEADER_BYTES + 8];
+        let fields = NodePageFields { group_count: 1, surfel_page: Some(PageId(3)) };
+        let link = ExternalLink { page: PageId(9), offset: 96 };
+        finish_node_page(&mut page, fields, &[link]);
+        let view = NodePage::new(&page).unwrap();
+        assert_eq!(view.fields(), fields);
+        assert_eq!(view.external_link(0), Some(link));
+        assert_eq!(view.external_link(1), None);
+        assert_eq!(view.groups_end(), 40);
+        for length in 0..page.len() {
+            assert!(NodePage::new(&page[..length]).is_err());
+        }
+    }
+
+    #[test]
+    fn surfel_pages_refuse_other_strides() {
+        let mut page = Vec::new();
+        write_surfel_page_header(3, 14, &mut page);
+        page.extend_from_slice(&[7; 42]);
+        let view = SurfelPage::new(&page, 14).unwrap();
+        assert_eq!(view.surfel_count(), 3);
+        assert_eq!(view.surfels(1, 2).map(<[u8]>::len), Some(28));
+        assert!(view.surfels(2, 2).is_none());
+        assert!(SurfelPage::new(&page, 18).is_err());
+        assert!(SurfelPage::new(&page[..50], 14).is_err());
+    }
+}
