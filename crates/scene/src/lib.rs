@@ -4,6 +4,10 @@
 //! This crate must never know how surfels are stored or how light is gathered.
 #![forbid(unsafe_code)]
 
+mod error;
 mod model;
+mod texture;
 
-pub use model::{Camera, Instance, Material, Mesh, Scene, Texture};
+pub use error::SceneError;
+pub use model::{Camera, Instance, Material, Mesh, Scene};
+pub use texture::Texture;

@@ -1,5 +1,6 @@
 //! The scene in memory: meshes placed by instances, materials, textures, cameras.
 
+use crate::Texture;
 use pbgi_math::{Affine3A, Vec2, Vec3};
 
 /// A triangle mesh with one material.
@@ -28,6 +29,15 @@ pub struct Instance {
     pub transform: Affine3A,
 }
 
+impl Instance {
+    /// Whether the transform mirrors: triangles that were counterclockwise become clockwise, and
+    /// their front is where they now look clockwise from.
+    #[must_use]
+    pub fn flips(&self) -> bool {
+        self.transform.matrix3.determinant() < 0.0
+    }
+}
+
 /// Diffuse surface, as far as a diffuse gather needs it.
 #[derive(Clone, Debug)]
 pub struct Material {
@@ -45,7 +55,8 @@ pub struct Material {
     pub metallic: f32,
     /// Perceptual roughness, 0..=1.
     pub roughness: f32,
-    /// Base color alpha below this is a hole; `None` for an opaque material.
+    /// Base color alpha below this is a hole; `None` for an opaque material. The alpha is that of the
+    /// base color texture, 1 without one.
     pub alpha_cutoff: Option<f32>,
     /// Lit and visible from both sides.
     pub double_sided: bool,
@@ -65,19 +76,6 @@ impl Default for Material {
             double_sided: false,
         }
     }
-}
-
-/// A texture: linear RGB and alpha in 0..=1, row 0 at the top, wrapping by repetition.
-#[derive(Clone, Debug, Default)]
-pub struct Texture {
-    /// Texels along a row.
-    pub width: u32,
-    /// Rows.
-    pub height: u32,
-    /// sRGB-encoded or linear bytes, RGBA; see `srgb`.
-    pub texels: Vec<[u8; 4]>,
-    /// Whether the color bytes are sRGB-encoded (alpha is always linear).
-    pub srgb: bool,
 }
 
 /// A perspective pinhole camera, looking down its local −Z with +Y up.
@@ -127,4 +125,6 @@ pub struct Scene {
     pub textures: Vec<Texture>,
     /// Cameras, in world space.
     pub cameras: Vec<Camera>,
+    /// What was left out or read differently than the file says, one sentence each.
+    pub warnings: Vec<String>,
 }

@@ -1,0 +1,361 @@
+//! Textures and their filtered lookup.
+
+use pbgi_math::Vec2;
+use rayon::prelude::*;
+use std::sync::{LazyLock, OnceLock};
+
+/// Linear value of each sRGB byte (IEC 61966-2-1).
+static SRGB_TO_LINEAR: LazyLock<[f32; 256]> = LazyLock::new(|| {
+    std::array::from_fn(|i| {
+        let c = i as f32 / 255.0;
+        if c <= 0.040_45 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
+    })
+});
+
+/// Linear value of each linear byte.
+static BYTE_TO_LINEAR: LazyLock<[f32; 256]> =
+    LazyLock::new(|| std::array::from_fn(|i| i as f32 / 255.0));
+
+/// Linear value of an sRGB-encoded byte.
+pub(crate) fn srgb_to_linear(byte: u8) -> f32 {
+    SRGB_TO_LINEAR[usize::from(byte)]
+}
+
+/// Nearest sRGB byte of a linear value.
+fn linear_to_srgb(linear: f32) -> u8 {
+    let c = linear.clamp(0.0, 1.0);
+    let encoded = if c <= 0.003_130_8 { c * 12.92 } else { 1.055 * c.powf(1.0 / 2.4) - 0.055 };
+    (encoded * 255.0 + 0.5) as u8
+}
+
+/// A texture: linear RGB and alpha in 0..=1, row 0 at the top, wrapping by repetition.
+///
+/// Colors are averaged with their alpha as weight, so that what is cut away does not bleed into
+/// what is left. A pyramid of half-size levels (box filter on linear values, stored in bytes like
+/// the texels) is made at the first filtered lookup and adds a third to the memory.
+#[derive(Clone, Debug, Default)]
+pub struct Texture {
+    base: Level,
+    srgb: bool,
+    pyramid: OnceLock<Vec<Level>>,
+}
+
+/// One level of the pyramid.
+#[derive(Clone, Debug, Default)]
+struct Level {
+    width: u32,
+    height: u32,
+    texels: Vec<[u8; 4]>,
+}
+
+impl Texture {
+    /// A texture of RGBA bytes in rows from the top; color bytes are sRGB-encoded if `srgb`, alpha
+    /// is always linear. `None` if an edge is 0 or the texel count is not `width · height`.
+    #[must_use]
+    pub fn new(width: u32, height: u32, texels: Vec<[u8; 4]>, srgb: bool) -> Option<Self> {
+        let count = usize::try_from(u64::from(width) * u64::from(height)).ok()?;
+        if count == 0 || texels.len() != count {
+            return None;
+        }
+        Some(Self { base: Level { width, height, texels }, srgb, pyramid: OnceLock::new() })
+    }
+
+    /// Texels along a row.
+    #[must_use]
+    pub fn width(&self) -> u32 {
+        self.base.width
+    }
+
+    /// Rows.
+    #[must_use]
+    pub fn height(&self) -> u32 {
+        self.base.height
+    }
+
+    /// RGBA bytes in rows from the top, as given to [`Texture::new`].
+    #[must_use]
+    pub fn texels(&self) -> &[[u8; 4]] {
+        &self.base.texels
+    }
+
+    /// Smallest alpha of all texels.
+    #[must_use]
+    pub fn alpha_min(&self) -> f32 {
+        self.base.texels.iter().map(|t| t[3]).min().map_or(1.0, |a| f32::from(a) / 255.0)
+    }
+
+    /// Linear color and alpha at `uv`, bilinear between texel centers. (0, 0) is the top left corner
+    /// of the image, (1, 1) its bottom right corner.
+    #[must_use]
+    pub fn sample(&self, uv: Vec2) -> [f32; 4] {
+        self.base.sample(uv, self.decoder())
+    }
+
+    /// Alpha alone of [`Texture::sample`].
+    #[must_use]
+    pub fn sample_alpha(&self, uv: Vec2) -> f32 {
+        self.base.sample_alpha(uv)
+    }
+
+    /// Linear color and alpha at `uv` averaged over about `texel_footprint` × `texel_footprint`
+    /// texels: trilinear in the pyramid. A footprint up to 1 is [`Texture::sample`].
+    #[must_use]
+    pub fn sample_level(&self, uv: Vec2, texel_footprint: f32) -> [f32; 4] {
+        let level = texel_footprint.log2();
+        // Also taken when the footprint is not a number.
+        if !(level > 0.0) {
+            return self.sample(uv);
+        }
+        let pyramid = self.pyramid();
+        let level = level.min(pyramid.len() as f32);
+        let (below, fraction) = (level as usize, level.fract());
+        let finer = self.level(pyramid, below).sample(uv, self.decoder());
+        if fraction == 0.0 {
+            return finer;
+        }
+        let coarser = self.level(pyramid, below + 1).sample(uv, self.decoder());
+        std::array::from_fn(|c| finer[c] + (coarser[c] - finer[c]) * fraction)
+    }
+
+    fn level<'a>(&'a self, pyramid: &'a [Level], index: usize) -> &'a Level {
+        if index == 0 { &self.base } else { &pyramid[(index - 1).min(pyramid.len() - 1)] }
+    }
+
+    fn decoder(&self) -> &'static [f32; 256] {
+        if self.srgb { &SRGB_TO_LINEAR } else { &BYTE_TO_LINEAR }
+    }
+
+    fn pyramid(&self) -> &[Level] {
+        self.pyramid.get_or_init(|| {
+            let mut levels = Vec::new();
+            let mut finest = self.base.to_linear(self.decoder());
+            while finest.width > 1 || finest.height > 1 {
+                finest = finest.halved();
+                levels.push(finest.to_level(self.srgb));
+            }
+            levels
+        })
+    }
+}
+
+impl Level {
+    fn sample(&self, uv: Vec2, decoder: &[f32; 256]) -> [f32; 4] {
+        let mut weighted = [0.0; 3];
+        let mut plain = [0.0; 3];
+        let mut alpha = 0.0;
+        for (index, weight) in self.taps(uv) {
+            let Some(texel) = self.texels.get(index) else { continue };
+            let opacity = weight * f32::from(texel[3]) * (1.0 / 255.0);
+            alpha += opacity;
+            for c in 0..3 {
+                let value = decoder[usize::from(texel[c])];
+                weighted[c] += value * opacity;
+                plain[c] += value * weight;
+            }
+        }
+        let [r, g, b] = if alpha > 0.0 { weighted.map(|v| v / alpha) } else { plain };
+        [r, g, b, alpha]
+    }
+
+    fn sample_alpha(&self, uv: Vec2) -> f32 {
+        let texel_alpha = |index: usize| self.texels.get(index).map_or(255, |t| t[3]);
+        self.taps(uv).iter().map(|&(i, weight)| weight * f32::from(texel_alpha(i)) / 255.0).sum()
+    }
+
+    /// The four texels around `uv` and their bilinear weights.
+    fn taps(&self, uv: Vec2) -> [(usize, f32); 4] {
+        let [x0, x1, fx] = wrap(uv.x, self.width);
+        let [y0, y1, fy] = wrap(uv.y, self.height);
+        let at = |x: f32, y: f32| y as usize * self.width as usize + x as usize;
+        [
+            (at(x0, y0), (1.0 - fx) * (1.0 - fy)),
+            (at(x1, y0), fx * (1.0 - fy)),
+            (at(x0, y1), (1.0 - fx) * fy),
+            (at(x1, y1), fx * fy),
+        ]
+    }
+
+    fn to_linear(&self, decoder: &[f32; 256]) -> LinearLevel {
+        let decode = |t: &[u8; 4]| {
+            let [r, g, b, a] = *t;
+            let color = [r, g, b].map(|c| decoder[usize::from(c)]);
+            [color[0], color[1], color[2], f32::from(a) / 255.0]
+        };
+        let texels = self.texels.par_iter().map(decode).collect();
+        LinearLevel { width: self.width, height: self.height, texels }
+    }
+}
+
+/// Neighboring texels `[first, second, fraction]` of a coordinate on an axis of `size` texels.
+fn wrap(coordinate: f32, size: u32) -> [f32; 3] {
+    let size = size as f32;
+    let unit = coordinate - coordinate.floor();
+    let position = if unit.is_finite() { unit * size - 0.5 } else { 0.0 };
+    let first = position.floor();
+    let fraction = position - first;
+    let into = |x: f32| {
+        if x < 0.0 {
+            x + size
+        } else if x >= size {
+            x - size
+        } else {
+            x
+        }
+    };
+    [into(first), into(first + 1.0), fraction]
+}
+
+/// A level while the pyramid is made: linear color, alpha.
+struct LinearLevel {
+    width: u32,
+    height: u32,
+    texels: Vec<[f32; 4]>,
+}
+
+impl LinearLevel {
+    /// The next level: each texel is the exact box average of what it covers, also of odd sizes.
+    fn halved(&self) -> Self {
+        let (width, height) = ((self.width / 2).max(1), (self.height / 2).max(1));
+        let texels = (0..width as usize * height as usize)
+            .into_par_iter()
+            .map(|i| {
+                let (x, y) = (i as u32 % width, i as u32 / width);
+                self.box_average(box_taps(x, self.width, width), box_taps(y, self.height, height))
+            })
+            .collect();
+        Self { width, height, texels }
+    }
+
+    fn box_average(&self, columns: [(u32, f32); 3], rows: [(u32, f32); 3]) -> [f32; 4] {
+        let mut weighted = [0.0; 3];
+        let mut plain = [0.0; 3];
+        let mut alpha = 0.0;
+        for (y, wy) in rows {
+            for (x, wx) in columns {
+                let texel = self.texels[y as usize * self.width as usize + x as usize];
+                let weight = wx * wy;
+                alpha += weight * texel[3];
+                for c in 0..3 {
+                    weighted[c] += weight * texel[3] * texel[c];
+                    plain[c] += weight * texel[c];
+                }
+            }
+        }
+        let [r, g, b] = if alpha > 0.0 { weighted.map(|v| v / alpha) } else { plain };
+        [r, g, b, alpha]
+    }
+
+    fn to_level(&self, srgb: bool) -> Level {
+        let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
+        let color = |v: f32| if srgb { linear_to_srgb(v) } else { byte(v) };
+        let encode = |t: &[f32; 4]| [color(t[0]), color(t[1]), color(t[2]), byte(t[3])];
+        let texels = self.texels.par_iter().map(encode).collect();
+        Level { width: self.width, height: self.height, texels }
+    }
+}
+
+/// The up to three texels of a `fine` axis that texel `index` of a `coarse` axis covers, and their
+/// shares. Unused taps have weight 0.
+fn box_taps(index: u32, fine: u32, coarse: u32) -> [(u32, f32); 3] {
+    let scale = f64::from(fine) / f64::from(coarse);
+    let (start, end) = (f64::from(index) * scale, f64::from(index + 1) * scale);
+    let first = start as u32;
+    std::array::from_fn(|k| {
+        let texel = first + k as u32;
+        let covered = end.min(f64::from(texel) + 1.0) - start.max(f64::from(texel));
+        (texel.min(fine - 1), (covered.max(0.0) / scale) as f32)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn checkers(width: u32, height: u32) -> Texture {
+        let texels = (0..width * height)
+            .map(|i| {
+                let byte = if (i % width + i / width) % 2 == 0 { 255 } else { 0 };
+                [byte, byte, byte, 255]
+            })
+            .collect();
+        Texture::new(width, height, texels, true).unwrap()
+    }
+
+    #[test]
+    fn texel_centers_give_texels_back() {
+        let texels = (0..12u8).map(|i| [i * 20, 255 - i, i, 100 + i]).collect::<Vec<_>>();
+        let texture = Texture::new(4, 3, texels.clone(), true).unwrap();
+        for (i, texel) in texels.iter().enumerate() {
+            let uv = Vec2::new((i % 4) as f32 + 0.5 + 8.0, (i / 4) as f32 + 0.5 - 6.0);
+            let sample = texture.sample(uv / Vec2::new(4.0, 3.0));
+            for c in 0..3 {
+                assert!((sample[c] - srgb_to_linear(texel[c])).abs() < 1e-3);
+            }
+            assert!((sample[3] - f32::from(texel[3]) / 255.0).abs() < 1e-3);
+        }
+    }
+
+    #[test]
+    fn sampling_wraps_across_both_edges() {
+        let texels = vec![[0, 0, 0, 255], [255, 255, 255, 255]];
+        let texture = Texture::new(2, 1, texels, false).unwrap();
+        for u in [0.0, 1.0, -3.0, 0.5] {
+            assert!((texture.sample(Vec2::new(u, 0.3))[0] - 0.5).abs() < 1e-5, "{u}");
+        }
+        assert!(texture.sample(Vec2::new(f32::NAN, f32::INFINITY))[0].is_finite());
+        assert!(texture.sample(Vec2::new(-1e-9, 1.0 - 1e-8))[0].is_finite());
+    }
+
+    #[test]
+    fn srgb_bytes_round_trip() {
+        for byte in 0..=255u8 {
+            assert_eq!(linear_to_srgb(srgb_to_linear(byte)), byte);
+        }
+        assert!((srgb_to_linear(188) - 0.502_886).abs() < 1e-4);
+    }
+
+    #[test]
+    fn pyramid_averages_linear_values() {
+        for (width, height) in [(64, 64), (33, 17), (7, 1), (1, 9)] {
+            let texture = checkers(width, height);
+            let mean = texture.texels().iter().map(|t| f32::from(t[0]) / 255.0).sum::<f32>()
+                / (width * height) as f32;
+            let top = texture.sample_level(Vec2::new(0.3, 0.7), 1e9);
+            assert!((top[0] - mean).abs() < 0.02, "{width} x {height}: {} {mean}", top[0]);
+        }
+    }
+
+    #[test]
+    fn filtered_lookup_is_continuous_in_the_footprint() {
+        let texture = checkers(64, 64);
+        let mut previous = texture.sample_level(Vec2::new(0.507, 0.508), 1.0)[0];
+        for i in 1..800 {
+            let footprint = 2f32.powf(i as f32 * 0.01);
+            let value = texture.sample_level(Vec2::new(0.507, 0.508), footprint)[0];
+            assert!((value - previous).abs() < 0.02, "{footprint}");
+            previous = value;
+        }
+    }
+
+    #[test]
+    fn transparent_texels_do_not_bleed() {
+        let texels = vec![[255, 0, 0, 255], [0, 0, 0, 0], [0, 0, 0, 0], [255, 0, 0, 255]];
+        let texture = Texture::new(2, 2, texels, true).unwrap();
+        for sample in [
+            texture.sample(Vec2::splat(0.5)),
+            texture.sample_level(Vec2::splat(0.1), 2.0),
+            texture.sample_level(Vec2::splat(0.4), 64.0),
+        ] {
+            assert!((sample[0] - 1.0).abs() < 1e-3 && (sample[3] - 0.5).abs() < 0.3, "{sample:?}");
+        }
+        assert!((texture.sample_alpha(Vec2::splat(0.5)) - 0.5).abs() < 1e-5);
+        assert_eq!(texture.alpha_min(), 0.0);
+    }
+
+    #[test]
+    fn wrong_sizes_are_refused() {
+        assert!(Texture::new(0, 4, vec![], true).is_none());
+        assert!(Texture::new(2, 2, vec![[0; 4]; 3], true).is_none());
+        assert!(Texture::new(u32::MAX, u32::MAX, vec![[0; 4]; 3], true).is_none());
+    }
+}
