@@ -3,10 +3,22 @@
 //! Readers yield bounded chunks; none holds a whole cloud. This crate must never know how surfels are sorted, stored or lit.
 #![forbid(unsafe_code)]
 
+mod atomic_file;
 mod ply;
+mod ply_points;
+mod ply_writer;
+pub mod raw;
+mod receiver_table;
+mod record;
 mod source;
 mod surfel;
 
+pub use atomic_file::AtomicFile;
 pub use ply::{PlyElement, PlyFormat, PlyHeader, PlyKind, PlyProperty, PlyReader, PlyRow, PlyType};
+pub use ply_points::PlyPoints;
+pub use ply_writer::PlyWriter;
+pub use raw::{RawKind, RawSource, RawWriter, write_raw_file};
+pub use receiver_table::{ReceiverColumn, ReceiverTable};
+pub use record::{CloudOptions, InvalidPolicy};
 pub use source::{CloudError, SliceSource, SurfelSource};
 pub use surfel::{Surfel, SurfelFlags};

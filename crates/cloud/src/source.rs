@@ -4,6 +4,9 @@ use crate::Surfel;
 use pbgi_math::{Aabb, DVec3, Vec3};
 use std::path::{Path, PathBuf};
 
+/// Surfels the sources of this crate append per chunk, at most.
+pub(crate) const CHUNK_SURFELS: usize = 4096;
+
 /// Why a cloud could not be read or written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -57,8 +60,14 @@ pub trait SurfelSource: Send {
         None
     }
 
+    /// Records dropped so far because they hold no valid surfel.
+    fn skipped(&self) -> u64 {
+        0
+    }
+
     /// Appends the next surfels to `out`, at most a few thousand; `false` when there are no more.
-    /// Every surfel is valid: finite, radius and area above 0.
+    /// Every surfel is valid: finite, radius and area above 0, or both 0 where the cloud has
+    /// neither and they are to be estimated from the neighborhood.
     ///
     /// # Errors
     ///
@@ -90,8 +99,7 @@ impl SurfelSource for SliceSource<'_> {
     }
 
     fn read_chunk(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
-        const CHUNK: usize = 4096;
-        let end = (self.next + CHUNK).min(self.surfels.len());
+        let end = (self.next + CHUNK_SURFELS).min(self.surfels.len());
         out.extend_from_slice(&self.surfels[self.next..end]);
         self.next = end;
         Ok(end < self.surfels.len())

@@ -1,0 +1,401 @@
+//! Point clouds in PLY files as streams of surfels.
+
+use crate::record::{Record, srgb_to_linear, srgb8_table};
+use crate::source::CHUNK_SURFELS;
+use crate::{
+    CloudError, CloudOptions, PlyElement, PlyFormat, PlyKind, PlyReader, PlyRow, PlyType, Surfel,
+    SurfelSource,
+};
+use pbgi_math::{DVec3, Vec3};
+use std::fs::File;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+
+/// The `vertex` rows of a PLY file as surfels, whatever the order and type of its columns:
+///
+/// | columns | meaning |
+/// |---|---|
+/// | `x y z` | position, required; as `double` the cloud's origin is the first vertex, rounded |
+/// | `nx ny nz` or `normal_x normal_y normal_z` | normal, any length; zero or absent: isotropic |
+/// | `radius`, `area` | size; see [`CloudOptions`] for what is derived where one is absent |
+/// | `albedo_r albedo_g albedo_b`, or `red green blue` or `r g b` as floats | linear albedo |
+/// | `red green blue`, `diffuse_red …` or `r g b` as integers | sRGB-encoded albedo |
+/// | `radiance_r radiance_g radiance_b` | outgoing radiance, W·m⁻²·sr⁻¹ |
+///
+/// Other columns and elements are skipped.
+pub struct PlyPoints {
+    reader: PlyReader<BufReader<File>>,
+    path: PathBuf,
+    columns: Columns,
+    options: CloudOptions,
+    origin: DVec3,
+    count: u64,
+    skipped: u64,
+    /// Bytes of a binary row of fixed stride and whether they are swapped.
+    stride: Option<(usize, bool)>,
+    bytes: Vec<u8>,
+    row: PlyRow,
+}
+
+impl PlyPoints {
+    /// Opens the file and reads its header.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be read, is no PLY file, or has no vertex positions.
+    pub fn open(path: &Path, options: &CloudOptions) -> Result<Self, CloudError> {
+        let mut points = Self::open_at(path, options, DVec3::ZERO)?;
+        let is_double = points.columns.position.iter().any(|c| c.ty == PlyType::F64);
+        if is_double && let Some(position) = points.first_position()? {
+            points = Self::open_at(path, options, position.round())?;
+        } else if is_double {
+            points = Self::open_at(path, options, DVec3::ZERO)?;
+        }
+        Ok(points)
+    }
+
+    fn open_at(path: &Path, options: &CloudOptions, origin: DVec3) -> Result<Self, CloudError> {
+        let mut reader = open_ply(path)?;
+        if !reader.seek_element("vertex")? {
+            return Err(CloudError::malformed(path, "no element `vertex`; not a point cloud"));
+        }
+        let format = reader.header().format;
+        let element = reader.element().expect("seek_element found it");
+        let columns =
+            Columns::of(element).map_err(|message| CloudError::malformed(path, message))?;
+        let stride = match format {
+            PlyFormat::Ascii => None,
+            _ => element.stride_bytes().map(|s| (s, format == PlyFormat::BinaryBigEndian)),
+        };
+        let count = element.count;
+        Ok(Self {
+            reader,
+            path: path.to_owned(),
+            columns,
+            options: options.clone(),
+            origin,
+            count,
+            skipped: 0,
+            stride,
+            bytes: Vec::new(),
+            row: PlyRow::default(),
+        })
+    }
+
+    /// Position of the first vertex, if it is usable.
+    fn first_position(&mut self) -> Result<Option<DVec3>, CloudError> {
+        let mut row = PlyRow::default();
+        if !self.reader.read_row(&mut row)? {
+            return Ok(None);
+        }
+        let position = DVec3::from_array(self.columns.position.map(|c| row.scalar(c.index)));
+        Ok(Some(position).filter(|p| p.is_finite()))
+    }
+
+    /// Appends the surfel that `value` reads from the current row.
+    #[inline]
+    fn push(
+        &mut self,
+        row_index: u64,
+        value: impl Fn(Column) -> f64,
+        out: &mut Vec<Surfel>,
+    ) -> Result<(), CloudError> {
+        let record = self.columns.record(self.origin, self.options.default_albedo, value);
+        match record.to_surfel(self.options.disk_overlap) {
+            Ok(surfel) => out.push(surfel),
+            Err(defect) => {
+                let place = || format!("vertex row {row_index}");
+                defect.apply(self.options.invalid, &mut self.skipped, &self.path, place)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn read_fixed(
+        &mut self,
+        stride: usize,
+        big_endian: bool,
+        out: &mut Vec<Surfel>,
+    ) -> Result<bool, CloudError> {
+        let mut bytes = std::mem::take(&mut self.bytes);
+        let first = self.reader.row_index();
+        let rows = self.reader.fill_rows(CHUNK_SURFELS, &mut bytes)?;
+        for (row, row_bytes) in bytes.chunks_exact(stride).enumerate() {
+            let value = |c: Column| c.ty.decode(&row_bytes[c.offset..], big_endian);
+            self.push(first + row as u64, value, out)?;
+        }
+        self.bytes = bytes;
+        Ok(rows > 0 && self.reader.row_index() < self.count)
+    }
+
+    fn read_rows(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
+        let mut row = std::mem::take(&mut self.row);
+        for _ in 0..CHUNK_SURFELS {
+            let index = self.reader.row_index();
+            if !self.reader.read_row(&mut row)? {
+                return Ok(false);
+            }
+            self.push(index, |c| row.scalar(c.index), out)?;
+        }
+        self.row = row;
+        Ok(true)
+    }
+}
+
+impl SurfelSource for PlyPoints {
+    fn origin(&self) -> DVec3 {
+        self.origin
+    }
+
+    fn count(&self) -> Option<u64> {
+        (self.options.invalid == crate::InvalidPolicy::Refuse).then_some(self.count)
+    }
+
+    fn skipped(&self) -> u64 {
+        self.skipped
+    }
+
+    fn read_chunk(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
+        match self.stride {
+            Some((stride, big_endian)) => self.read_fixed(stride, big_endian, out),
+            None => self.read_rows(out),
+        }
+    }
+}
+
+/// Opens a PLY file for buffered reading.
+pub(crate) fn open_ply(path: &Path) -> Result<PlyReader<BufReader<File>>, CloudError> {
+    let file = File::open(path).map_err(|e| CloudError::io(path, "open", e))?;
+    PlyReader::new(BufReader::with_capacity(1 << 18, file), path)
+}
+
+/// A scalar column: where it lies in a row.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Column {
+    pub index: usize,
+    /// Bytes before it in a binary row; meaningful for rows of fixed stride only.
+    pub offset: usize,
+    pub ty: PlyType,
+}
+
+impl Column {
+    /// The scalar column `name`.
+    pub fn find(element: &PlyElement, name: &str) -> Option<Self> {
+        let mut offset = 0;
+        for (index, property) in element.properties.iter().enumerate() {
+            match property.kind {
+                PlyKind::Scalar(ty) if property.name == name => {
+                    return Some(Self { index, offset, ty });
+                }
+                PlyKind::Scalar(ty) => offset += ty.size_bytes(),
+                PlyKind::List { .. } => {}
+            }
+        }
+        None
+    }
+
+    /// Three scalar columns: the first of `names` that is complete.
+    pub fn find_triple(element: &PlyElement, names: &[[&str; 3]]) -> Option<[Self; 3]> {
+        names.iter().find_map(|triple| {
+            let [a, b, c] = triple.map(|name| Self::find(element, name));
+            Some([a?, b?, c?])
+        })
+    }
+}
+
+/// Names of normals.
+pub(crate) const NORMAL_NAMES: [[&str; 3]; 2] =
+    [["nx", "ny", "nz"], ["normal_x", "normal_y", "normal_z"]];
+
+/// The columns a surfel is read from.
+struct Columns {
+    position: [Column; 3],
+    normal: Option<[Column; 3]>,
+    radius: Option<Column>,
+    area: Option<Column>,
+    albedo: Option<[Column; 3]>,
+    radiance: Option<[Column; 3]>,
+    srgb8: Box<[f32; 256]>,
+}
+
+impl Columns {
+    fn of(element: &PlyElement) -> Result<Self, String> {
+        let position = Column::find_triple(element, &[["x", "y", "z"]])
+            .ok_or("vertices have no columns `x`, `y`, `z`")?;
+        const COLORS: [[&str; 3]; 4] = [
+            ["albedo_r", "albedo_g", "albedo_b"],
+            ["red", "green", "blue"],
+            ["diffuse_red", "diffuse_green", "diffuse_blue"],
+            ["r", "g", "b"],
+        ];
+        Ok(Self {
+            position,
+            normal: Column::find_triple(element, &NORMAL_NAMES),
+            radius: Column::find(element, "radius"),
+            area: Column::find(element, "area"),
+            albedo: Column::find_triple(element, &COLORS),
+            radiance: Column::find_triple(element, &[["radiance_r", "radiance_g", "radiance_b"]]),
+            srgb8: Box::new(srgb8_table()),
+        })
+    }
+
+    #[inline]
+    fn record(
+        &self,
+        origin: DVec3,
+        default_albedo: [f32; 3],
+        value: impl Fn(Column) -> f64,
+    ) -> Record {
+        let triple = |columns: Option<[Column; 3]>| columns.map(|c| c.map(|c| value(c) as f32));
+        let scalar = |column: Option<Column>| column.map_or(0.0, |c| value(c) as f32);
+        Record {
+            position: (DVec3::from_array(self.position.map(&value)) - origin).as_vec3(),
+            normal: Vec3::from_array(triple(self.normal).unwrap_or_default()),
+            radius: scalar(self.radius),
+            area: scalar(self.area),
+            radiance: triple(self.radiance).unwrap_or_default(),
+            albedo: self
+                .albedo
+                .map_or(default_albedo, |c| c.map(|c| self.linear_albedo(c.ty, value(c)))),
+            flags: Default::default(),
+        }
+    }
+
+    /// Linear albedo of a color value: floats are linear, integers sRGB-encoded over their range.
+    fn linear_albedo(&self, ty: PlyType, value: f64) -> f32 {
+        match ty {
+            PlyType::F32 | PlyType::F64 => value as f32,
+            PlyType::U16 => srgb_to_linear(value as f32 / 65535.0),
+            // Signed and wide integers hold 8-bit codes in the files that use them.
+            _ => self.srgb8[(value.clamp(0.0, 255.0)) as usize],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::InvalidPolicy;
+
+    fn read_all(source: &mut dyn SurfelSource) -> Result<Vec<Surfel>, CloudError> {
+        let mut surfels = Vec::new();
+        while source.read_chunk(&mut surfels)? {}
+        Ok(surfels)
+    }
+
+    fn file(contents: &[u8]) -> tempfile::NamedTempFile {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), contents).unwrap();
+        file
+    }
+
+    fn points(contents: &[u8]) -> Result<Vec<Surfel>, CloudError> {
+        let file = file(contents);
+        read_all(&mut PlyPoints::open(file.path(), &CloudOptions::default())?)
+    }
+
+    const ASCII: &str = "ply\nformat ascii 1.0\nelement camera 1\nproperty list uchar float m\n\
+        element vertex 2\nproperty uchar blue\nproperty uchar green\nproperty float nz\n\
+        property float ny\nproperty float nx\nproperty float extra\nproperty float z\n\
+        property float y\nproperty float x\nproperty uchar red\nproperty float radius\n\
+        property float radiance_r\nproperty float radiance_g\nproperty float radiance_b\n\
+        element face 0\nproperty list uchar int vertex_indices\nend_header\n\
+        2 7 8\n0 255 0 0 2 9 3 2 1 128 0.5 4 5 6\n0 0 0 0 0 9 6 5 4 0 0 0 0 0\n";
+
+    #[test]
+    fn columns_are_found_in_any_order() {
+        let surfels = points(ASCII.as_bytes()).unwrap();
+        assert_eq!(surfels.len(), 2);
+        let [first, second] = [surfels[0], surfels[1]];
+        assert_eq!(first.position, [1.0, 2.0, 3.0]);
+        assert_eq!(first.normal(), Vec3::X);
+        assert_eq!(first.radius, 0.5);
+        assert!((first.area - std::f32::consts::PI * 0.25).abs() < 1e-6);
+        assert_eq!(first.radiance, [4.0, 5.0, 6.0]);
+        assert!((first.albedo_rgb()[0] - 0.2158).abs() < 1e-3);
+        assert_eq!(first.albedo_rgb()[1..], [1.0, 0.0]);
+        assert!(!first.is_isotropic() && second.is_isotropic());
+        assert_eq!((second.radius, second.area), (0.0, 0.0));
+    }
+
+    #[test]
+    fn binary_and_ascii_agree() {
+        let values = [[0.5f32, 1.5, -2.0], [3.0, 4.0, 5.0]];
+        let header = |format: &str| {
+            format!(
+                "ply\nformat {format} 1.0\nelement vertex 2\nproperty float x\nproperty float y\n\
+                 property float z\nend_header\n"
+            )
+        };
+        let mut ascii = header("ascii").into_bytes();
+        let mut little = header("binary_little_endian").into_bytes();
+        let mut big = header("binary_big_endian").into_bytes();
+        for [x, y, z] in values {
+            ascii.extend(format!("{x} {y} {z}\n").bytes());
+            for v in [x, y, z] {
+                little.extend(v.to_le_bytes());
+                big.extend(v.to_be_bytes());
+            }
+        }
+        let expected = points(&ascii).unwrap();
+        assert_eq!(expected[1].position, values[1]);
+        assert_eq!(points(&little).unwrap(), expected);
+        assert_eq!(points(&big).unwrap(), expected);
+        for length in 0..little.len() {
+            assert!(points(&little[..length]).is_err());
+        }
+    }
+
+    #[test]
+    fn doubles_keep_their_digits_by_an_origin() {
+        let text = "ply\nformat ascii 1.0\nelement vertex 2\nproperty double x\n\
+            property double y\nproperty double z\nend_header\n\
+            637380.25 851950.5 400\n637381.375 851950.5 401\n";
+        let file = file(text.as_bytes());
+        let mut source = PlyPoints::open(file.path(), &CloudOptions::default()).unwrap();
+        assert_eq!(source.origin(), DVec3::new(637_380.0, 851_951.0, 400.0));
+        let surfels = read_all(&mut source).unwrap();
+        assert_eq!(surfels[0].position, [0.25, -0.5, 0.0]);
+        assert_eq!(surfels[1].position, [1.375, -0.5, 1.0]);
+    }
+
+    #[test]
+    fn invalid_rows_are_named_or_skipped() {
+        let text = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n\
+            property float z\nproperty float radius\nend_header\n0 0 0 1\nnan 0 0 1\n0 0 0 -1\n";
+        let message = points(text.as_bytes()).unwrap_err().to_string();
+        assert!(message.contains("vertex row 1: position"), "{message}");
+        let file = file(text.as_bytes());
+        let options = CloudOptions { invalid: InvalidPolicy::Skip, ..CloudOptions::default() };
+        let mut source = PlyPoints::open(file.path(), &options).unwrap();
+        assert_eq!(read_all(&mut source).unwrap().len(), 1);
+        assert_eq!(source.skipped(), 2);
+        assert_eq!(source.count(), None);
+    }
+
+    #[test]
+    fn files_without_positions_are_refused() {
+        let text = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n";
+        assert!(points(text.as_bytes()).unwrap_err().to_string().contains("`x`, `y`, `z`"));
+        let text = "ply\nformat ascii 1.0\nend_header\n";
+        assert!(points(text.as_bytes()).unwrap_err().to_string().contains("no element `vertex`"));
+    }
+
+    #[test]
+    fn stanford_scans_are_read() {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data");
+        for (name, count) in [("stanford_bunny.ply", 35_947), ("stanford_dragon_res2.ply", 100_250)]
+        {
+            let path = Path::new(folder).join(name);
+            if !path.exists() {
+                println!("skipped: {name} is not here");
+                continue;
+            }
+            let mut source = PlyPoints::open(&path, &CloudOptions::default()).unwrap();
+            assert_eq!(source.count(), Some(count));
+            let surfels = read_all(&mut source).unwrap();
+            assert_eq!(surfels.len() as u64, count);
+            assert!(surfels.iter().all(|s| s.center().length() < 0.5 && s.is_isotropic()));
+        }
+    }
+}

@@ -1,0 +1,472 @@
+//! Raw surfel streams: the quickest way into and out of the engine, also through pipes.
+//!
+//! Little-endian. A 64-byte header, then records until the count is reached or, if the count is
+//! unknown, until the end of the file:
+//!
+//! | offset | bytes | field |
+//! |---|---|---|
+//! | 0 | 8 | magic `PBGISURF` |
+//! | 8 | 4 | version, u32: 1 |
+//! | 12 | 4 | record kind, u32: 1 or 2 |
+//! | 16 | 8 | number of records, u64; 2⁶⁴ − 1 where unknown |
+//! | 24 | 24 | world position of the coordinate origin, 3 × f64, finite |
+//! | 48 | 16 | reserved, zero |
+//!
+//! | kind 1, 32 bytes | kind 2, 44 bytes | bytes | field |
+//! |---|---|---|---|
+//! | 0 | 0 | 12 | position relative to the origin, 3 × f32, finite, at most 10¹⁸ |
+//! | 12 | 12 | 4 | radius, f32, ≥ 0; 0 where unknown |
+//! | 16 | 16 | 4 | area, f32, ≥ 0; 0 where unknown |
+//! | 20 | 20 | 4 | normal, u32: octahedral, two 16-bit signed normalized numbers |
+//! | 24 | – | 6 | radiance, 3 × f16, finite, ≥ 0 |
+//! | – | 24 | 12 | radiance, 3 × f32, finite, ≥ 0 |
+//! | – | 36 | 6 | albedo, 3 × f16, finite |
+//! | 30 | 42 | 2 | flags, u16: 1 isotropic, 2 front only; other bits zero |
+
+use crate::record::{Defect, Record};
+use crate::source::CHUNK_SURFELS;
+use crate::{AtomicFile, CloudError, CloudOptions, Surfel, SurfelFlags, SurfelSource};
+use half::f16;
+use pbgi_math::{DVec3, Vec3};
+use std::io::{Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+/// First bytes of a raw surfel stream.
+pub const RAW_MAGIC: [u8; 8] = *b"PBGISURF";
+const VERSION: u32 = 1;
+const HEADER_BYTES: usize = 64;
+const COUNT_OFFSET: u64 = 16;
+const COUNT_UNKNOWN: u64 = u64::MAX;
+
+/// What a raw record holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RawKind {
+    /// 32 bytes: no albedo, radiance in half precision.
+    Compact,
+    /// 44 bytes: everything a [`Surfel`] holds.
+    Full,
+}
+
+impl RawKind {
+    /// Bytes of a record.
+    #[must_use]
+    pub fn record_bytes(self) -> usize {
+        match self {
+            Self::Compact => 32,
+            Self::Full => 44,
+        }
+    }
+
+    fn code(self) -> u32 {
+        match self {
+            Self::Compact => 1,
+            Self::Full => 2,
+        }
+    }
+}
+
+/// A raw surfel stream being read.
+pub struct RawSource<R> {
+    reader: R,
+    path: PathBuf,
+    options: CloudOptions,
+    kind: RawKind,
+    origin: DVec3,
+    count: Option<u64>,
+    next: u64,
+    skipped: u64,
+    bytes: Vec<u8>,
+}
+
+impl<R: Read + Send> RawSource<R> {
+    /// Reads the header. `path` is for messages; call standard input `-`.
+    ///
+    /// # Errors
+    ///
+    /// If reading fails or the header is not valid.
+    pub fn new(mut reader: R, path: &Path, options: &CloudOptions) -> Result<Self, CloudError> {
+        let mut header = [0u8; HEADER_BYTES];
+        let malformed = |message: String| CloudError::malformed(path, message);
+        let read =
+            read_up_to(&mut reader, &mut header).map_err(|e| CloudError::io(path, "read", e))?;
+        if read < RAW_MAGIC.len() || header[..8] != RAW_MAGIC {
+            return Err(malformed(
+                "not a raw surfel stream: expected `PBGISURF` at its start".into(),
+            ));
+        }
+        if read < HEADER_BYTES {
+            return Err(malformed(format!("the header ends after {read} of {HEADER_BYTES} bytes")));
+        }
+        let u32_at = |at: usize| u32::from_le_bytes(array_at(&header, at));
+        if u32_at(8) != VERSION {
+            return Err(malformed(format!("version {}, expected {VERSION}", u32_at(8))));
+        }
+        let kind = match u32_at(12) {
+            1 => RawKind::Compact,
+            2 => RawKind::Full,
+            other => return Err(malformed(format!("record kind {other}, expected 1 or 2"))),
+        };
+        let count = u64::from_le_bytes(array_at(&header, 16));
+        let origin =
+            DVec3::from_array([24, 32, 40].map(|at| f64::from_le_bytes(array_at(&header, at))));
+        if !origin.is_finite() {
+            return Err(malformed("the origin is not finite".into()));
+        }
+        if header[48..].iter().any(|&b| b != 0) {
+            return Err(malformed("reserved header bytes are not zero".into()));
+        }
+        Ok(Self {
+            reader,
+            path: path.to_owned(),
+            options: options.clone(),
+            kind,
+            origin,
+            count: (count != COUNT_UNKNOWN).then_some(count),
+            next: 0,
+            skipped: 0,
+            bytes: vec![0; CHUNK_SURFELS * kind.record_bytes()],
+        })
+    }
+
+    /// Errors unless the stream ends here.
+    fn check_end(&mut self) -> Result<(), CloudError> {
+        match read_up_to(&mut self.reader, &mut [0]) {
+            Ok(0) => Ok(()),
+            Ok(_) => Err(CloudError::malformed(
+                &self.path,
+                format!("data follows the {} records its header counts", self.next),
+            )),
+            Err(e) => Err(CloudError::io(&self.path, "read", e)),
+        }
+    }
+}
+
+impl<R: Read + Send> SurfelSource for RawSource<R> {
+    fn origin(&self) -> DVec3 {
+        self.origin
+    }
+
+    fn count(&self) -> Option<u64> {
+        self.count.filter(|_| self.options.invalid == crate::InvalidPolicy::Refuse)
+    }
+
+    fn skipped(&self) -> u64 {
+        self.skipped
+    }
+
+    fn read_chunk(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
+        let size = self.kind.record_bytes();
+        let left = self.count.map_or(u64::MAX, |count| count - self.next);
+        let wanted = left.min(CHUNK_SURFELS as u64) as usize * size;
+        let read = read_up_to(&mut self.reader, &mut self.bytes[..wanted])
+            .map_err(|e| CloudError::io(&self.path, "read", e))?;
+        if (self.count.is_some() && read < wanted) || !read.is_multiple_of(size) {
+            let record = self.next + (read / size) as u64;
+            let expected = self.count.map_or("whole records".into(), |c| format!("{c} records"));
+            return Err(CloudError::malformed(
+                &self.path,
+                format!(
+                    "record {record}: the stream ends here, expected {expected}; it is cut short"
+                ),
+            ));
+        }
+        for bytes in self.bytes[..read].chunks_exact(size) {
+            let surfel = record_from_le_bytes(bytes, self.kind, &self.options)
+                .and_then(|record| record.to_surfel(self.options.disk_overlap));
+            match surfel {
+                Ok(surfel) => out.push(surfel),
+                Err(defect) => {
+                    let place = || format!("record {}", self.next);
+                    defect.apply(self.options.invalid, &mut self.skipped, &self.path, place)?;
+                }
+            }
+            self.next += 1;
+        }
+        let more = read == wanted && self.count != Some(self.next);
+        if !more && self.count.is_some() {
+            self.check_end()?;
+        }
+        Ok(more)
+    }
+}
+
+/// Writes a raw surfel stream to any writer, such as standard output.
+pub struct RawWriter<W> {
+    writer: W,
+    path: PathBuf,
+    kind: RawKind,
+    /// Records promised in the header, if any.
+    count: Option<u64>,
+    written: u64,
+    bytes: Vec<u8>,
+}
+
+impl<W: Write> RawWriter<W> {
+    /// Writes the header. `path` is for messages; `count` is the number of records, if known.
+    ///
+    /// # Errors
+    ///
+    /// If writing fails.
+    pub fn new(
+        mut writer: W,
+        path: &Path,
+        kind: RawKind,
+        origin: DVec3,
+        count: Option<u64>,
+    ) -> Result<Self, CloudError> {
+        let mut header = [0u8; HEADER_BYTES];
+        header[..8].copy_from_slice(&RAW_MAGIC);
+        header[8..12].copy_from_slice(&VERSION.to_le_bytes());
+        header[12..16].copy_from_slice(&kind.code().to_le_bytes());
+        header[16..24].copy_from_slice(&count.unwrap_or(COUNT_UNKNOWN).to_le_bytes());
+        for (at, x) in [24, 32, 40].into_iter().zip(origin.to_array()) {
+            header[at..at + 8].copy_from_slice(&x.to_le_bytes());
+        }
+        writer.write_all(&header).map_err(|e| CloudError::io(path, "write", e))?;
+        Ok(Self { writer, path: path.to_owned(), kind, count, written: 0, bytes: Vec::new() })
+    }
+
+    /// Appends surfels. [`RawKind::Compact`] drops their albedo and rounds their radiance to f16,
+    /// saturating at its largest number, 65504.
+    ///
+    /// # Errors
+    ///
+    /// If writing fails.
+    pub fn write(&mut self, surfels: &[Surfel]) -> Result<(), CloudError> {
+        for chunk in surfels.chunks(CHUNK_SURFELS) {
+            self.bytes.clear();
+            for surfel in chunk {
+                surfel_to_le_bytes(surfel, self.kind, &mut self.bytes);
+            }
+            self.writer
+                .write_all(&self.bytes)
+                .map_err(|e| CloudError::io(&self.path, "write", e))?;
+        }
+        self.written += surfels.len() as u64;
+        Ok(())
+    }
+
+    /// Flushes and gives the writer back.
+    ///
+    /// # Errors
+    ///
+    /// If writing fails, or fewer or more records were written than the header promises.
+    pub fn finish(mut self) -> Result<W, CloudError> {
+        if let Some(count) = self.count.filter(|&c| c != self.written) {
+            return Err(CloudError::malformed(
+                &self.path,
+                format!("{} records were written, {count} promised", self.written),
+            ));
+        }
+        self.writer.flush().map_err(|e| CloudError::io(&self.path, "write", e))?;
+        Ok(self.writer)
+    }
+}
+
+/// Writes all surfels of `source` into the file `path`, which appears when complete, and returns
+/// their number.
+///
+/// # Errors
+///
+/// If reading or writing fails.
+pub fn write_raw_file(
+    path: &Path,
+    kind: RawKind,
+    source: &mut dyn SurfelSource,
+) -> Result<u64, CloudError> {
+    let file = AtomicFile::create(path)?;
+    let mut writer = RawWriter::new(file, path, kind, source.origin(), None)?;
+    let mut surfels = Vec::new();
+    loop {
+        surfels.clear();
+        let more = source.read_chunk(&mut surfels)?;
+        writer.write(&surfels)?;
+        if !more {
+            break;
+        }
+    }
+    let count = writer.written;
+    let mut file = writer.finish()?;
+    file.seek(SeekFrom::Start(COUNT_OFFSET))
+        .and_then(|_| file.write_all(&count.to_le_bytes()))
+        .map_err(|e| CloudError::io(path, "write", e))?;
+    file.commit()?;
+    Ok(count)
+}
+
+/// Reads until `buffer` is full or the stream ends; returns the bytes read.
+fn read_up_to(reader: &mut impl Read, buffer: &mut [u8]) -> std::io::Result<usize> {
+    let mut filled = 0;
+    while filled < buffer.len() {
+        match reader.read(&mut buffer[filled..]) {
+            Ok(0) => break,
+            Ok(n) => filled += n,
+            Err(e) if e.kind() == std::io::ErrorKind::Interrupted => {}
+            Err(e) => return Err(e),
+        }
+    }
+    Ok(filled)
+}
+
+fn array_at<const N: usize>(bytes: &[u8], at: usize) -> [u8; N] {
+    std::array::from_fn(|i| bytes[at + i])
+}
+
+fn record_from_le_bytes(
+    bytes: &[u8],
+    kind: RawKind,
+    options: &CloudOptions,
+) -> Result<Record, Defect> {
+    let f32_at = |at: usize| f32::from_le_bytes(array_at(bytes, at));
+    let f16_at = |at: usize| f16::from_le_bytes(array_at(bytes, at)).to_f32();
+    let (radiance, albedo) = match kind {
+        RawKind::Compact => ([24, 26, 28].map(f16_at), options.default_albedo),
+        RawKind::Full => ([24, 28, 32].map(f32_at), [36, 38, 40].map(f16_at)),
+    };
+    let flags = SurfelFlags(u16::from_le_bytes(array_at(bytes, bytes.len() - 2)));
+    if !SurfelFlags::ISOTROPIC.with(SurfelFlags::FRONT_ONLY).contains(flags) {
+        return Err(Defect::Flags);
+    }
+    let normal_code = u32::from_le_bytes(array_at(bytes, 20));
+    Ok(Record {
+        position: Vec3::from_array([0, 4, 8].map(f32_at)),
+        normal: match flags.contains(SurfelFlags::ISOTROPIC) {
+            true => Vec3::ZERO,
+            false => pbgi_math::decode_octahedral(normal_code),
+        },
+        radius: f32_at(12),
+        area: f32_at(16),
+        radiance,
+        albedo,
+        flags,
+    })
+}
+
+fn surfel_to_le_bytes(surfel: &Surfel, kind: RawKind, out: &mut Vec<u8>) {
+    for x in surfel.position.into_iter().chain([surfel.radius, surfel.area]) {
+        out.extend_from_slice(&x.to_le_bytes());
+    }
+    out.extend_from_slice(&surfel.normal_code.to_le_bytes());
+    for l in surfel.radiance {
+        match kind {
+            RawKind::Compact => {
+                out.extend_from_slice(&f16::from_f32(l.min(f16::MAX.to_f32())).to_le_bytes());
+            }
+            RawKind::Full => out.extend_from_slice(&l.to_le_bytes()),
+        }
+    }
+    if kind == RawKind::Full {
+        for a in surfel.albedo {
+            out.extend_from_slice(&a.to_le_bytes());
+        }
+    }
+    out.extend_from_slice(&surfel.flags.0.to_le_bytes());
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{InvalidPolicy, SliceSource};
+
+    fn surfels(count: usize) -> Vec<Surfel> {
+        (0..count)
+            .map(|i| {
+                let x = i as f32;
+                let surfel = Surfel::new(
+                    Vec3::new(x, -2.0 * x, 0.5),
+                    Vec3::new(1.0, x, -3.0).normalize(),
+                    0.25,
+                    0.125,
+                );
+                surfel.with_radiance([x, 1.0, 0.5]).with_albedo([0.5, 0.25, 1.0])
+            })
+            .collect()
+    }
+
+    fn stream_of(surfels: &[Surfel], kind: RawKind, count: Option<u64>) -> Vec<u8> {
+        let origin = DVec3::new(1e6, 2e6, 3.0);
+        let mut writer = RawWriter::new(Vec::new(), Path::new("-"), kind, origin, count).unwrap();
+        writer.write(surfels).unwrap();
+        writer.finish().unwrap()
+    }
+
+    fn read_all(bytes: &[u8]) -> Result<Vec<Surfel>, CloudError> {
+        let mut source = RawSource::new(bytes, Path::new("-"), &CloudOptions::default())?;
+        assert_eq!(source.origin(), DVec3::new(1e6, 2e6, 3.0));
+        let mut out = Vec::new();
+        while source.read_chunk(&mut out)? {}
+        Ok(out)
+    }
+
+    #[test]
+    fn full_records_round_trip_bit_for_bit() {
+        for count in [0, 1, 4096, 4097, 10_000] {
+            let surfels = surfels(count);
+            for known in [None, Some(count as u64)] {
+                let bytes = stream_of(&surfels, RawKind::Full, known);
+                assert_eq!(bytes.len(), 64 + 44 * count);
+                assert!(read_all(&bytes).unwrap() == surfels);
+            }
+        }
+    }
+
+    #[test]
+    fn compact_records_keep_all_but_albedo() {
+        let surfels = surfels(100);
+        let bytes = stream_of(&surfels, RawKind::Compact, None);
+        assert_eq!(bytes.len(), 64 + 32 * 100);
+        for (read, written) in read_all(&bytes).unwrap().iter().zip(&surfels) {
+            assert_eq!(*read, written.with_albedo([0.5; 3]));
+        }
+    }
+
+    #[test]
+    fn files_round_trip_with_their_count() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("t.pbgisurf");
+        let surfels = surfels(5000);
+        write_raw_file(&path, RawKind::Full, &mut SliceSource::new(&surfels)).unwrap();
+        let file = std::fs::File::open(&path).unwrap();
+        let source = RawSource::new(file, &path, &CloudOptions::default()).unwrap();
+        assert_eq!(source.count(), Some(5000));
+    }
+
+    #[test]
+    fn streams_cut_anywhere_are_refused() {
+        let bytes = stream_of(&surfels(3), RawKind::Full, Some(3));
+        for length in 0..bytes.len() {
+            assert!(read_all(&bytes[..length]).is_err(), "{length}");
+        }
+        let open_ended = stream_of(&surfels(3), RawKind::Full, None);
+        for length in (0..open_ended.len()).filter(|l| *l < 64 || (l - 64) % 44 != 0) {
+            assert!(read_all(&open_ended[..length]).is_err(), "{length}");
+        }
+    }
+
+    #[test]
+    fn damaged_headers_are_refused() {
+        let bytes = stream_of(&surfels(3), RawKind::Full, Some(3));
+        for at in (0..24).chain(48..64) {
+            let mut damaged = bytes.clone();
+            damaged[at] ^= 0x40;
+            assert!(read_all(&damaged).is_err(), "byte {at}");
+        }
+        let mut longer = bytes;
+        longer.push(0);
+        assert!(read_all(&longer).unwrap_err().to_string().contains("data follows the 3"));
+    }
+
+    #[test]
+    fn invalid_records_are_named_or_skipped() {
+        let mut surfels = surfels(3);
+        surfels[1].radius = -1.0;
+        surfels[2].flags = SurfelFlags(4);
+        let bytes = stream_of(&surfels, RawKind::Full, None);
+        assert!(read_all(&bytes).unwrap_err().to_string().contains("record 1: radius"));
+        let options = CloudOptions { invalid: InvalidPolicy::Skip, ..CloudOptions::default() };
+        let mut source = RawSource::new(bytes.as_slice(), Path::new("-"), &options).unwrap();
+        let mut out = Vec::new();
+        while source.read_chunk(&mut out).unwrap() {}
+        assert_eq!((out.len(), source.skipped()), (1, 2));
+    }
+}
