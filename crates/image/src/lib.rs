@@ -1,1 +1,27 @@
-//! Under construction.
+//! Images in and out: multichannel EXR, HDR environments, PNG previews, AOV names, error metrics.
+//!
+//! Pixels are 32-bit floats in memory, linear, rows from the top. This crate must never know what a
+//! surfel, a receiver or an environment's geometry is: it moves named channels between files and memory.
+#![forbid(unsafe_code)]
+
+mod aov;
+mod atomic;
+mod environment;
+mod error;
+mod exr_read;
+mod exr_write;
+mod image;
+mod metrics;
+mod png;
+mod tone;
+
+pub use self::image::{AttributeValue, Channel, Image, Metadata, RgbImage};
+pub use aov::{Aov, AovNames, AovPreset};
+pub use atomic::write_atomically;
+pub use environment::{read_environment, read_hdr};
+pub use error::ImageError;
+pub use exr_read::read_exr;
+pub use exr_write::{write_environment_exr, write_exr};
+pub use metrics::{ErrorMetrics, MetricsError, compare};
+pub use png::write_png;
+pub use tone::{ToneMap, auto_exposure};

@@ -1,0 +1,306 @@
+//! Names of output channels, as different renderers and compositors know them.
+
+use crate::Image;
+
+/// A quantity the engine writes or reads.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Aov {
+    /// Radiance toward the camera, with alpha: 4 channels.
+    Beauty,
+    /// Reflected indirect diffuse radiance, albedo included: 3 channels.
+    DiffuseIndirect,
+    /// Reflected direct diffuse radiance, albedo included: 3 channels.
+    DiffuseDirect,
+    /// Reflected indirect glossy radiance: 3 channels.
+    SpecularIndirect,
+    /// Irradiance, without albedo: 3 channels.
+    Irradiance,
+    /// Ambient occlusion, 1 = open: 1 channel.
+    Occlusion,
+    /// Cosine-weighted fraction of the environment that is seen: 1 channel.
+    SkyVisibility,
+    /// Mean open direction, world space: 3 channels.
+    BentNormal,
+    /// World position: 3 channels.
+    Position,
+    /// World-space unit normal: 3 channels.
+    Normal,
+    /// Distance along the view axis: 1 channel.
+    Depth,
+    /// Diffuse albedo: 3 channels.
+    Albedo,
+}
+
+impl Aov {
+    /// All quantities.
+    pub const ALL: [Self; 12] = [
+        Self::Beauty,
+        Self::DiffuseIndirect,
+        Self::DiffuseDirect,
+        Self::SpecularIndirect,
+        Self::Irradiance,
+        Self::Occlusion,
+        Self::SkyVisibility,
+        Self::BentNormal,
+        Self::Position,
+        Self::Normal,
+        Self::Depth,
+        Self::Albedo,
+    ];
+
+    /// Whether the components are X, Y, Z rather than R, G, B.
+    fn is_vector(self) -> bool {
+        matches!(self, Self::BentNormal | Self::Position | Self::Normal)
+    }
+
+    fn is_scalar(self) -> bool {
+        matches!(self, Self::Occlusion | Self::SkyVisibility | Self::Depth)
+    }
+}
+
+/// Whose names to write.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum AovPreset {
+    /// Arnold's built-in names.
+    #[default]
+    Arnold,
+    /// The passes of Blender's Cycles.
+    Blender,
+    /// RenderMan's channels.
+    Renderman,
+}
+
+impl AovPreset {
+    /// All presets.
+    pub const ALL: [Self; 3] = [Self::Arnold, Self::Blender, Self::Renderman];
+
+    /// The preset called `name`: `arnold`, `blender` or `renderman`.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        match name {
+            "arnold" => Some(Self::Arnold),
+            "blender" => Some(Self::Blender),
+            "renderman" => Some(Self::Renderman),
+            _ => None,
+        }
+    }
+}
+
+/// Layer name of each quantity. An empty name stands for bare `R`, `G`, `B`, `A`. A scalar's layer
+/// name is its channel's whole name.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct AovNames {
+    layers: [String; Aov::ALL.len()],
+}
+
+impl Default for AovNames {
+    fn default() -> Self {
+        Self::preset(AovPreset::Arnold)
+    }
+}
+
+impl AovNames {
+    /// The names of a preset, in the order of [`Aov::ALL`].
+    #[must_use]
+    pub fn preset(preset: AovPreset) -> Self {
+        let layers = match preset {
+            AovPreset::Arnold => [
+                "",
+                "diffuse_indirect",
+                "diffuse_direct",
+                "specular_indirect",
+                "irradiance",
+                "AO",
+                "sky_visibility",
+                "bent_normal",
+                "P",
+                "N",
+                "Z",
+                "albedo",
+            ],
+            AovPreset::Blender => [
+                "Combined",
+                "Diffuse Indirect with Color",
+                "Diffuse Direct",
+                "Glossy Indirect",
+                "Diffuse Indirect",
+                "Ambient Occlusion",
+                "Sky Visibility",
+                "Bent Normal",
+                "Position",
+                "Normal",
+                "Depth",
+                "Diffuse Color",
+            ],
+            AovPreset::Renderman => [
+                "Ci",
+                "indirectDiffuse",
+                "directDiffuse",
+                "indirectSpecular",
+                "irradiance",
+                "occlusion",
+                "sky_visibility",
+                "_environmentdir",
+                "__Pworld",
+                "Nn",
+                "z",
+                "albedo",
+            ],
+        };
+        Self { layers: layers.map(str::to_owned) }
+    }
+
+    /// Layer name of `aov`.
+    #[must_use]
+    pub fn layer(&self, aov: Aov) -> &str {
+        &self.layers[aov as usize]
+    }
+
+    /// Gives `aov` another layer name.
+    pub fn set_layer(&mut self, aov: Aov, layer: impl Into<String>) {
+        self.layers[aov as usize] = layer.into();
+    }
+
+    /// Channel names of `aov`: 1, 3 or, for beauty, 4.
+    #[must_use]
+    pub fn channels(&self, aov: Aov) -> Vec<String> {
+        let layer = self.layer(aov);
+        let components: &[&str] = match aov {
+            _ if aov.is_scalar() => return vec![layer.to_owned()],
+            Aov::Beauty if layer == "Ci" => {
+                return ["Ci.R", "Ci.G", "Ci.B", "a"].map(str::to_owned).into();
+            }
+            Aov::Beauty => &["R", "G", "B", "A"],
+            _ if aov.is_vector() => &["X", "Y", "Z"],
+            _ => &["R", "G", "B"],
+        };
+        components.iter().map(|component| join(layer, component)).collect()
+    }
+
+    /// The channels of `aov` in an image of any origin: these names first, then those of every
+    /// preset and common synonyms; components `X/Y/Z`, `R/G/B` or `r/g/b`; with or without a view
+    /// layer before them (`ViewLayer.Normal.X`). Beauty is found without its alpha.
+    #[must_use]
+    pub fn find<'a>(&self, image: &'a Image, aov: Aov) -> Option<Vec<&'a [f32]>> {
+        let presets = AovPreset::ALL.map(Self::preset);
+        let own = std::iter::once(self.layer(aov));
+        let known = presets.iter().map(|names| names.layer(aov));
+        own.chain(known).chain(synonyms(aov).iter().copied()).find_map(|layer| {
+            let components: &[&[&str]] = if aov.is_scalar() {
+                &[&[""], &["Z"], &["V"], &["Y"], &["R"], &["r"]]
+            } else {
+                &[&["X", "Y", "Z"], &["x", "y", "z"], &["R", "G", "B"], &["r", "g", "b"]]
+            };
+            components.iter().find_map(|set| {
+                set.iter().map(|component| find_channel(image, &join(layer, component))).collect()
+            })
+        })
+    }
+}
+
+fn synonyms(aov: Aov) -> &'static [&'static str] {
+    match aov {
+        Aov::Beauty => &["rgba", "beauty"],
+        Aov::Position => &["position", "Pworld", "worldP"],
+        Aov::Normal => &["normal", "N_world", "normals"],
+        Aov::Depth => &["depth"],
+        Aov::Albedo => &["diffuse_albedo", "DiffCol"],
+        _ => &[],
+    }
+}
+
+fn join(layer: &str, component: &str) -> String {
+    match (layer, component) {
+        ("", component) => component.to_owned(),
+        (layer, "") => layer.to_owned(),
+        _ => format!("{layer}.{component}"),
+    }
+}
+
+/// The channel `name`, or the first whose name is `name` after a view layer and a dot.
+fn find_channel<'a>(image: &'a Image, name: &str) -> Option<&'a [f32]> {
+    image.channel(name).or_else(|| {
+        // A bare R would otherwise be found in any layer.
+        let layered = name.contains('.');
+        let matches = |full: &str| {
+            full.strip_suffix(name)
+                .and_then(|head| head.strip_suffix('.'))
+                .is_some_and(|view| !view.contains('.'))
+        };
+        let found = image.channels.iter().find(|c| layered && matches(&c.name));
+        found.map(|c| c.data.as_slice())
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn default_names_are_those_compositors_expect() {
+        let names = AovNames::default();
+        assert_eq!(names.channels(Aov::Beauty), ["R", "G", "B", "A"]);
+        assert_eq!(names.channels(Aov::DiffuseIndirect)[1], "diffuse_indirect.G");
+        assert_eq!(
+            names.channels(Aov::BentNormal),
+            ["bent_normal.X", "bent_normal.Y", "bent_normal.Z"]
+        );
+        assert_eq!(names.channels(Aov::Depth), ["Z"]);
+        assert_eq!(names.channels(Aov::Occlusion), ["AO"]);
+    }
+
+    #[test]
+    fn names_are_unique_in_every_preset() {
+        for preset in AovPreset::ALL {
+            let names = AovNames::preset(preset);
+            let mut all: Vec<String> = Aov::ALL.iter().flat_map(|a| names.channels(*a)).collect();
+            let count = all.len();
+            all.sort();
+            all.dedup();
+            assert_eq!(all.len(), count, "{preset:?}");
+        }
+    }
+
+    #[test]
+    fn g_buffers_of_all_presets_are_understood() {
+        for preset in AovPreset::ALL {
+            let names = AovNames::preset(preset);
+            let mut image = Image::new(1, 1);
+            let mut value = 0.0;
+            for aov in Aov::ALL {
+                for channel in names.channels(aov) {
+                    image.push(channel, vec![value]);
+                    value += 1.0;
+                }
+            }
+            let reader = AovNames::default();
+            for aov in [Aov::Beauty, Aov::Position, Aov::Normal, Aov::Depth, Aov::Albedo] {
+                let found = reader.find(&image, aov).unwrap();
+                for (data, channel) in found.iter().zip(names.channels(aov)) {
+                    assert_eq!(Some(*data), image.channel(&channel), "{preset:?} {channel}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn view_layers_and_lower_case_components_are_found() {
+        let mut image = Image::new(1, 1);
+        for (i, name) in ["ViewLayer.Normal.X", "ViewLayer.Normal.Y", "ViewLayer.Normal.Z"]
+            .into_iter()
+            .chain(["P.r", "P.g", "P.b", "ViewLayer.Depth.Z"])
+            .enumerate()
+        {
+            image.push(name, vec![i as f32]);
+        }
+        let names = AovNames::default();
+        let values =
+            |aov| -> Vec<f32> { names.find(&image, aov).unwrap().iter().map(|c| c[0]).collect() };
+        assert_eq!(values(Aov::Normal), [0.0, 1.0, 2.0]);
+        assert_eq!(values(Aov::Position), [3.0, 4.0, 5.0]);
+        assert_eq!(values(Aov::Depth), [6.0]);
+        assert_eq!(names.find(&image, Aov::Beauty), None);
+        assert_eq!(names.find(&image, Aov::Albedo), None);
+    }
+}

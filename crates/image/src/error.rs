@@ -1,0 +1,113 @@
+//! What can go wrong with an image file.
+
+use std::path::{Path, PathBuf};
+
+/// Why an image could not be read or written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ImageError {
+    /// The operating system refused.
+    #[error("{}: {action} failed: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What was tried: "open", "read", "write" …
+        action: &'static str,
+        /// The cause.
+        source: std::io::Error,
+    },
+    /// The file is not what it claims to be.
+    #[error("{}: {message}", path.display())]
+    Malformed {
+        /// The file.
+        path: PathBuf,
+        /// Place, what was found, what was expected, and the cure if there is one.
+        message: String,
+    },
+    /// The file is valid, yet of a kind that is not read here.
+    #[error("{}: {found} is not supported; {cure}", path.display())]
+    Unsupported {
+        /// The file.
+        path: PathBuf,
+        /// The feature.
+        found: String,
+        /// What to do, often a command that converts the file.
+        cure: String,
+    },
+    /// A pixel holds a value that no environment can have.
+    #[error(
+        "{}: pixel (column {column}, row {row}) is ({}, {}, {}), expected finite values of at least 0; {cure}",
+        path.display(), value[0], value[1], value[2]
+    )]
+    BadPixel {
+        /// The file.
+        path: PathBuf,
+        /// Column of the first bad pixel, from 0 at the left.
+        column: usize,
+        /// Row of the first bad pixel, from 0 at the top.
+        row: usize,
+        /// Its red, green and blue.
+        value: [f32; 3],
+        /// A command that repairs the file.
+        cure: String,
+    },
+    /// The image in memory cannot be written as asked.
+    #[error("{}: cannot write the image: {message}", path.display())]
+    Unwritable {
+        /// The file.
+        path: PathBuf,
+        /// Which channel or attribute, what was found, what was expected.
+        message: String,
+    },
+}
+
+impl ImageError {
+    /// An [`ImageError::Io`] for `path`.
+    pub fn io(path: &Path, action: &'static str, source: std::io::Error) -> Self {
+        Self::Io { path: path.to_owned(), action, source }
+    }
+
+    /// An [`ImageError::Malformed`] for `path`.
+    pub fn malformed(path: &Path, message: impl Into<String>) -> Self {
+        Self::Malformed { path: path.to_owned(), message: message.into() }
+    }
+
+    pub(crate) fn unsupported(
+        path: &Path,
+        found: impl Into<String>,
+        cure: impl Into<String>,
+    ) -> Self {
+        Self::Unsupported { path: path.to_owned(), found: found.into(), cure: cure.into() }
+    }
+
+    pub(crate) fn unwritable(path: &Path, message: impl Into<String>) -> Self {
+        Self::Unwritable { path: path.to_owned(), message: message.into() }
+    }
+}
+
+/// Runs a decoder on bytes nobody vouches for; a panic inside it becomes [`ImageError::Malformed`].
+///
+/// The decoders of other crates are careful, but not proved: a damaged file must end in an error
+/// whatever they do. `decode` must run on this thread only, and nothing it touched is used after a
+/// panic.
+pub(crate) fn catch_decoder_panic<T>(
+    path: &Path,
+    decode: impl FnOnce() -> Result<T, ImageError>,
+) -> Result<T, ImageError> {
+    std::panic::catch_unwind(std::panic::AssertUnwindSafe(decode)).unwrap_or_else(|_| {
+        Err(ImageError::malformed(path, "the decoder failed on damaged data; get the file again"))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn decoder_panics_become_errors() {
+        let path = Path::new("x.exr");
+        let result: Result<(), _> = catch_decoder_panic(path, || panic!("odd file"));
+        assert!(result.unwrap_err().to_string().starts_with("x.exr: the decoder failed"));
+        assert_eq!(catch_decoder_panic(path, || Ok(7)).unwrap(), 7);
+    }
+}

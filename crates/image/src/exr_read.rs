@@ -1,0 +1,328 @@
+//! Reading of EXR files.
+
+use crate::error::catch_decoder_panic;
+use crate::{AttributeValue, Channel, Image, ImageError, Metadata};
+use exr::block::reader::Reader;
+use exr::compression::Compression;
+use exr::image::{AnyChannels, FlatSamples, Layer};
+use exr::meta::attribute::{AttributeValue as ExrValue, Text};
+use exr::meta::header::Header;
+use exr::prelude::{ReadChannels, ReadLayers};
+use pbgi_math::Mat4;
+use std::fs::File;
+use std::io::{BufReader, Read, Seek};
+use std::path::Path;
+
+/// Most bytes one byte of a chunk can inflate to: deflate codes at best 258 bytes in 2 bits.
+const EXPANSION_MAX: u64 = 1032;
+
+/// Reads the full-resolution level of a flat EXR file: scan lines or tiles; half, float or uint.
+///
+/// A file of several parts becomes one image: each part of the first part's size and place
+/// contributes its channels, with the part's name before theirs (`beauty.R`); the rest is listed in
+/// [`Metadata::parts_left_out`]. Memory: the decoded samples, once as stored and once as floats for
+/// a channel at a time.
+///
+/// # Errors
+///
+/// [`ImageError::Malformed`] for anything truncated, damaged or larger than its file can hold;
+/// [`ImageError::Unsupported`] for deep or subsampled data and DWA compression, with the command
+/// that converts the file.
+pub fn read_exr(path: &Path) -> Result<(Image, Metadata), ImageError> {
+    let io = |action| move |e| ImageError::io(path, action, e);
+    let file = File::open(path).map_err(io("open"))?;
+    let file_bytes = file.metadata().map_err(io("read the size of"))?.len();
+    catch_decoder_panic(path, || {
+        let reader = exr::block::read(BufReader::new(file), false).map_err(from_exr(path))?;
+        check_headers(path, reader.headers(), file_bytes)?;
+        decode(path, reader)
+    })
+}
+
+fn from_exr(path: &Path) -> impl Fn(exr::error::Error) -> ImageError + '_ {
+    move |error| match error {
+        exr::error::Error::Io(cause) => ImageError::io(path, "read", cause),
+        exr::error::Error::NotSupported(what) => {
+            ImageError::unsupported(path, format!("this exr file ({what})"), CONVERT)
+        }
+        other => ImageError::malformed(
+            path,
+            format!("not a readable exr file ({other}); write or copy it again"),
+        ),
+    }
+}
+
+const CONVERT: &str = "convert it with: oiiotool in.exr --compression zip -o out.exr";
+
+/// Refuses what is not read here, and sizes that the file cannot hold, before they are allocated.
+fn check_headers(path: &Path, headers: &[Header], file_bytes: u64) -> Result<(), ImageError> {
+    let mut claimed_bytes = 0u64;
+    let mut chunk_count = 0u64;
+    for header in headers {
+        let refuse = |found: String, cure: &str| Err(ImageError::unsupported(path, found, cure));
+        if header.deep {
+            let cure = "flatten it with: oiiotool in.exr --flatten --compression zip -o out.exr";
+            return refuse("deep data".into(), cure);
+        }
+        if matches!(header.compression, Compression::DWAA(_) | Compression::DWAB(_)) {
+            return refuse("DWA compression".into(), CONVERT);
+        }
+        if let Some(c) =
+            header.channels.list.iter().find(|c| c.sampling.0 != 1 || c.sampling.1 != 1)
+        {
+            let found = format!("subsampled channel {} (luminance-chroma)", c.name);
+            return refuse(found, "write the image as R, G, B");
+        }
+        let samples =
+            (header.layer_size.width() as u64).saturating_mul(header.layer_size.height() as u64);
+        let pixel_bytes = header.channels.bytes_per_pixel as u64;
+        claimed_bytes = claimed_bytes.saturating_add(samples.saturating_mul(pixel_bytes));
+        chunk_count = chunk_count.saturating_add(header.chunk_count as u64);
+    }
+    // Each chunk has an offset of 8 bytes and a head of at least 8.
+    let too_large = chunk_count.saturating_mul(16) > file_bytes
+        || claimed_bytes > file_bytes.saturating_mul(EXPANSION_MAX);
+    if too_large {
+        return Err(ImageError::malformed(
+            path,
+            format!(
+                "the header claims {claimed_bytes} bytes of pixels in {chunk_count} chunks, more \
+                 than a file of {file_bytes} bytes can hold; write or copy it again"
+            ),
+        ));
+    }
+    Ok(())
+}
+
+fn decode<R: Read + Seek>(path: &Path, reader: Reader<R>) -> Result<(Image, Metadata), ImageError> {
+    // On this thread only: a panic of the decoder on a pool thread would end the process.
+    let decoded = exr::prelude::read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .all_channels()
+        .all_layers()
+        .all_attributes()
+        .non_parallel()
+        .from_chunks(reader)
+        .map_err(from_exr(path))?;
+    let shared = decoded.attributes;
+    let parts = decoded.layer_data;
+    let Some(first) = parts.first() else {
+        return Err(ImageError::malformed(path, "no part found, expected one at least"));
+    };
+    let (size, position) = (first.size, first.attributes.layer_position);
+    let mut metadata = Metadata {
+        data_origin: [position.0, position.1],
+        display_origin: [shared.display_window.position.0, shared.display_window.position.1],
+        display_size: [shared.display_window.size.0, shared.display_window.size.1],
+        attributes: collect_attributes(first),
+        parts_left_out: Vec::new(),
+    };
+    metadata.attributes.extend(shared.other.iter().filter_map(convert));
+    metadata.attributes.sort_by(|a, b| a.0.cmp(&b.0));
+    let mut image = Image::new(size.width(), size.height());
+    let several = parts.len() > 1;
+    for part in parts {
+        let name = part.attributes.layer_name.as_ref().map(to_string).unwrap_or_default();
+        if part.size == size && part.attributes.layer_position == position {
+            append_channels(&mut image, part, if several { &name } else { "" });
+        } else {
+            metadata.parts_left_out.push(name);
+        }
+    }
+    Ok((image, metadata))
+}
+
+/// Appends the channels of a part under `prefix.name`; the first of two equal names wins.
+fn append_channels(image: &mut Image, part: Layer<AnyChannels<FlatSamples>>, prefix: &str) {
+    for channel in part.channel_data.list {
+        let mut name = to_string(&channel.name);
+        let prefixed = name.strip_prefix(prefix).is_some_and(|rest| rest.starts_with('.'));
+        if !prefix.is_empty() && !prefixed {
+            name = format!("{prefix}.{name}");
+        }
+        if image.channel(&name).is_some() {
+            continue;
+        }
+        let data = match channel.sample_data {
+            FlatSamples::F16(samples) => samples.iter().map(|s| s.to_f32()).collect(),
+            FlatSamples::F32(samples) => samples,
+            FlatSamples::U32(samples) => samples.iter().map(|&s| s as f32).collect(),
+        };
+        image.channels.push(Channel { name, data });
+    }
+}
+
+fn collect_attributes(part: &Layer<AnyChannels<FlatSamples>>) -> Vec<(String, AttributeValue)> {
+    let own = &part.attributes;
+    let texts = [
+        ("software", &own.software_name),
+        ("comments", &own.comments),
+        ("owner", &own.owner),
+        ("name", &own.layer_name),
+    ];
+    let matrices =
+        [("worldToCamera", own.world_to_camera), ("worldToNDC", own.world_to_normalized_device)];
+    let texts = texts.into_iter().filter_map(|(name, value)| {
+        value.as_ref().map(|v| (name.to_owned(), AttributeValue::Text(to_string(v))))
+    });
+    let matrices = matrices.into_iter().filter_map(|(name, value)| {
+        value.map(|m| (name.to_owned(), AttributeValue::Matrix(Mat4::from_cols_array(&m))))
+    });
+    texts.chain(matrices).chain(own.other.iter().filter_map(convert)).collect()
+}
+
+fn convert((name, value): (&Text, &ExrValue)) -> Option<(String, AttributeValue)> {
+    let value = match value {
+        ExrValue::Text(s) => AttributeValue::Text(to_string(s)),
+        ExrValue::F32(x) => AttributeValue::Float(*x),
+        ExrValue::I32(i) => AttributeValue::Int(*i),
+        // The file's rows are the columns of a matrix that multiplies column vectors.
+        ExrValue::Matrix4x4(m) => AttributeValue::Matrix(Mat4::from_cols_array(m)),
+        _ => return None,
+    };
+    Some((to_string(name), value))
+}
+
+fn to_string(text: &Text) -> String {
+    String::from_utf8_lossy(text.bytes()).into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::write_exr;
+    use exr::prelude as ex;
+    use exr::prelude::WritableImage;
+    use tempfile::tempdir;
+
+    const DATA: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data");
+
+    #[test]
+    fn tiled_mip_mapped_file_loads_at_full_resolution() {
+        let path = Path::new(DATA).join("StageEnvLatLong.exr");
+        if !path.exists() {
+            return println!("skipped: no shared data");
+        }
+        let (image, _) = read_exr(&path).unwrap();
+        assert_eq!((image.width, image.height), (1000, 500));
+        let green = image.channel("G").unwrap();
+        assert_eq!(green.len(), 500_000);
+        assert!(green.iter().all(|g| g.is_finite() && *g >= 0.0));
+        // The bottom right tile, too, is filled.
+        assert!(green[499 * 1000 + 900..].iter().any(|g| *g > 0.0));
+        let max = image.channels.iter().flat_map(|c| &c.data).fold(0f32, |a, b| a.max(*b));
+        assert_eq!(max, 4096.0);
+    }
+
+    #[test]
+    fn truncation_at_any_length_is_an_error() {
+        let directory = tempdir().unwrap();
+        let path = directory.path().join("a.exr");
+        let mut image = Image::new(64, 64);
+        image.push("R", (0..4096).map(|i| (i as f32).sin()).collect());
+        write_exr(&path, &image, &[]).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        for length in (0..bytes.len()).step_by(97).chain([1, 4, 8, 9, bytes.len() - 1]) {
+            std::fs::write(&path, &bytes[..length]).unwrap();
+            let error = read_exr(&path).unwrap_err();
+            assert!(matches!(error, ImageError::Malformed { .. }), "{length}: {error}");
+        }
+    }
+
+    #[test]
+    fn damaged_headers_never_panic() {
+        let directory = tempdir().unwrap();
+        let path = directory.path().join("a.exr");
+        let mut image = Image::new(9, 7);
+        image.push("R", vec![0.5; 63]);
+        write_exr(&path, &image, &[]).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        for at in 0..bytes.len().min(700) {
+            for flip in [0x01, 0x80, 0xff] {
+                let mut damaged = bytes.clone();
+                damaged[at] ^= flip;
+                std::fs::write(&path, &damaged).unwrap();
+                // Some flips only rename a channel; what counts is that there is an answer.
+                let _ = read_exr(&path);
+            }
+        }
+    }
+
+    #[test]
+    fn sizes_beyond_the_file_are_refused_before_allocation() {
+        let directory = tempdir().unwrap();
+        let path = directory.path().join("a.exr");
+        let mut image = Image::new(9, 7);
+        image.push("R", vec![0.5; 63]);
+        write_exr(&path, &image, &[]).unwrap();
+        let mut bytes = std::fs::read(&path).unwrap();
+        let key = b"dataWindow\0box2i\0";
+        let at = bytes.windows(key.len()).position(|w| w == key).unwrap() + key.len() + 4;
+        bytes[at + 8..at + 12].copy_from_slice(&0x3fff_fff0i32.to_le_bytes());
+        std::fs::write(&path, &bytes).unwrap();
+        let error = read_exr(&path).unwrap_err().to_string();
+        assert!(error.contains("more than a file of"), "{error}");
+    }
+
+    #[test]
+    fn parts_are_merged_under_their_names() {
+        let directory = tempdir().unwrap();
+        let path = directory.path().join("a.exr");
+        let part = |name: &str, channel: &str, size: usize, value: f32| {
+            let channels = AnyChannels::sort(
+                [ex::AnyChannel::new(channel, FlatSamples::F32(vec![value; size * size]))]
+                    .into_iter()
+                    .collect(),
+            );
+            let attributes = ex::LayerAttributes::named(name);
+            Layer::new((size, size), attributes, ex::Encoding::FAST_LOSSLESS, channels)
+        };
+        let parts =
+            [part("beauty", "R", 4, 1.0), part("AO", "AO.Y", 4, 2.0), part("small", "Y", 2, 3.0)];
+        let window = ex::IntegerBounds::from_dimensions((4, 4));
+        let file = exr::image::Image {
+            attributes: ex::ImageAttributes::new(window),
+            layer_data: exr::image::Layers::from_iter(parts),
+        };
+        file.write().to_file(&path).unwrap();
+        let (image, metadata) = read_exr(&path).unwrap();
+        assert_eq!(image.channel("beauty.R"), Some(&[1.0; 16][..]));
+        assert_eq!(image.channel("AO.Y"), Some(&[2.0; 16][..]));
+        assert_eq!(image.channels.len(), 2);
+        assert_eq!(metadata.parts_left_out, ["small"]);
+    }
+
+    #[test]
+    fn half_and_uint_become_float() {
+        let directory = tempdir().unwrap();
+        let path = directory.path().join("a.exr");
+        let list = [
+            ex::AnyChannel::new("h", FlatSamples::F16(vec![half::f16::from_f32(0.5); 6])),
+            ex::AnyChannel::new("u", FlatSamples::U32(vec![7; 6])),
+        ];
+        let channels = AnyChannels::sort(list.into_iter().collect());
+        let file = exr::image::Image::from_channels((3, 2), channels);
+        file.write().to_file(&path).unwrap();
+        let (image, _) = read_exr(&path).unwrap();
+        assert_eq!(image.channel("h"), Some(&[0.5; 6][..]));
+        assert_eq!(image.channel("u"), Some(&[7.0; 6][..]));
+    }
+
+    #[test]
+    fn what_is_not_read_names_its_cure() {
+        let directory = tempdir().unwrap();
+        let path = directory.path().join("a.exr");
+        let mut image = Image::new(4, 4);
+        image.push("R", vec![0.5; 16]);
+        write_exr(&path, &image, &[]).unwrap();
+        let mut bytes = std::fs::read(&path).unwrap();
+        let key = b"compression\0compression\0";
+        let at = bytes.windows(key.len()).position(|w| w == key).unwrap() + key.len() + 4;
+        bytes[at] = 8; // DWAA
+        std::fs::write(&path, &bytes).unwrap();
+        let error = read_exr(&path).unwrap_err();
+        assert!(matches!(error, ImageError::Unsupported { .. }), "{error}");
+        assert!(error.to_string().contains("oiiotool in.exr --compression zip"), "{error}");
+    }
+}

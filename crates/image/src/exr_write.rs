@@ -1,0 +1,340 @@
+//! Writing of EXR files.
+
+use crate::{AttributeValue, Channel, Image, ImageError, RgbImage, write_atomically};
+use exr::block::{UncompressedBlock, writer::ChunksWriter};
+use exr::compression::Compression;
+use exr::meta::BlockDescription;
+use exr::meta::attribute::{
+    AttributeValue as ExrValue, ChannelDescription, LineOrder, SampleType, Text,
+};
+use exr::meta::header::Header;
+use std::collections::BTreeMap;
+use std::io::{self, Cursor, Seek, Write};
+use std::path::Path;
+
+/// Header attributes that describe the layout of the file and so cannot be set by a caller.
+const LAYOUT_ATTRIBUTES: [&str; 14] = [
+    "channels",
+    "chunkCount",
+    "compression",
+    "dataWindow",
+    "displayWindow",
+    "lineOrder",
+    "maxSamplesPerPixel",
+    "name",
+    "pixelAspectRatio",
+    "screenWindowCenter",
+    "screenWindowWidth",
+    "tiles",
+    "type",
+    "version",
+];
+
+/// Writes `image` as one part of ZIP-compressed scan lines, each channel as 32-bit floats.
+///
+/// Channels go into a single part with names such as `diffuse_indirect.R`, which every reader
+/// understands as layers. Attributes take their standard field where the name has one
+/// (`worldToCamera`, `worldToNDC`, `software`, `comments`, `owner`); matrices are transposed on
+/// the way, see [`AttributeValue::Matrix`]. The bytes are the same for any number of threads.
+/// The file appears whole or not at all ([`write_atomically`]). Beside `image` only a few blocks of
+/// 16 rows are in memory at a time.
+///
+/// # Errors
+///
+/// [`ImageError::Unwritable`] for an empty image, a channel of the wrong length, names that are
+/// empty, doubled or reserved; [`ImageError::Io`] if writing fails.
+pub fn write_exr(
+    path: &Path,
+    image: &Image,
+    attributes: &[(String, AttributeValue)],
+) -> Result<(), ImageError> {
+    let channels = check_channels(path, image)?;
+    let header = describe(path, image, &channels, attributes)?;
+    let sorted =
+        serialize_sorted(&header).map_err(|message| ImageError::unwritable(path, message))?;
+    write_atomically(path, |file| {
+        exr::block::write(&mut *file, [header].into_iter().collect(), true, |meta, writer| {
+            let blocks = meta.collect_ordered_blocks(|index| {
+                let (y, rows) = (index.pixel_position.y(), index.pixel_size.y());
+                UncompressedBlock { index, data: gather_rows(&channels, image.width, y, rows) }
+            });
+            writer.on_progress(|_| ()).compress_all_blocks_parallel(&meta, blocks)
+        })
+        .map_err(|error| match error {
+            exr::error::Error::Io(cause) => cause,
+            other => io::Error::other(other.to_string()),
+        })?;
+        file.seek(io::SeekFrom::Start(0))?;
+        file.write_all(&sorted)
+    })
+}
+
+/// Writes an environment as an EXR file with the channels `R`, `G` and `B`.
+///
+/// # Errors
+///
+/// Those of [`write_exr`].
+pub fn write_environment_exr(
+    path: &Path,
+    environment: &RgbImage,
+    attributes: &[(String, AttributeValue)],
+) -> Result<(), ImageError> {
+    let (width, height) = (environment.width, environment.height);
+    let found = environment.pixels.len();
+    if found != width * height {
+        let message = format!("{found} pixels, expected {width} x {height}");
+        return Err(ImageError::unwritable(path, message));
+    }
+    let mut image = Image::new(width, height);
+    image.push_rgb(["R", "G", "B"], &environment.pixels);
+    write_exr(path, &image, attributes)
+}
+
+/// The channels in the order of the file, which is that of their names.
+fn check_channels<'a>(path: &Path, image: &'a Image) -> Result<Vec<&'a Channel>, ImageError> {
+    let (width, height) = (image.width, image.height);
+    if width == 0 || height == 0 || image.channels.is_empty() {
+        let count = image.channels.len();
+        let message = format!("it is empty: {width} x {height} pixels, {count} channels");
+        return Err(ImageError::unwritable(path, message));
+    }
+    let mut channels: Vec<&Channel> = image.channels.iter().collect();
+    channels.sort_by(|a, b| a.name.as_bytes().cmp(b.name.as_bytes()));
+    for channel in &channels {
+        check_name(path, "channel", &channel.name)?;
+        let (found, expected) = (channel.data.len(), width * height);
+        if found != expected {
+            let name = &channel.name;
+            let message = format!("channel {name} has {found} samples, expected {expected}");
+            return Err(ImageError::unwritable(path, message));
+        }
+    }
+    match channels.windows(2).find(|pair| pair[0].name == pair[1].name) {
+        Some(pair) => {
+            let message = format!("two channels are called {}; rename one", pair[0].name);
+            Err(ImageError::unwritable(path, message))
+        }
+        None => Ok(channels),
+    }
+}
+
+/// Names are at most 255 bytes in the format.
+fn check_name(path: &Path, what: &str, name: &str) -> Result<(), ImageError> {
+    if name.is_empty() || name.len() > 255 || name.contains('\0') {
+        let message = format!("{what} name \"{name}\" is not of 1 to 255 bytes without zeros");
+        return Err(ImageError::unwritable(path, message));
+    }
+    Ok(())
+}
+
+fn text(value: &str) -> Text {
+    Text::from_slice_unchecked(value.as_bytes())
+}
+
+fn describe(
+    path: &Path,
+    image: &Image,
+    channels: &[&Channel],
+    attributes: &[(String, AttributeValue)],
+) -> Result<Header, ImageError> {
+    let list = channels
+        .iter()
+        .map(|c| ChannelDescription::new(text(&c.name), SampleType::F32, false))
+        .collect();
+    let mut header = Header::new(text(""), (image.width, image.height), list).with_encoding(
+        Compression::ZIP16,
+        BlockDescription::ScanLines,
+        LineOrder::Increasing,
+    );
+    header.own_attributes.layer_name = None;
+    for (name, value) in attributes {
+        check_name(path, "attribute", name)?;
+        if LAYOUT_ATTRIBUTES.contains(&name.as_str()) {
+            let message = format!("attribute {name} describes the file's layout; rename it");
+            return Err(ImageError::unwritable(path, message));
+        }
+        set_attribute(&mut header, name, value);
+    }
+    Ok(header)
+}
+
+fn set_attribute(header: &mut Header, name: &str, value: &AttributeValue) {
+    let own = &mut header.own_attributes;
+    match (name, value) {
+        ("worldToCamera", AttributeValue::Matrix(m)) => {
+            own.world_to_camera = Some(m.to_cols_array());
+        }
+        ("worldToNDC", AttributeValue::Matrix(m)) => {
+            own.world_to_normalized_device = Some(m.to_cols_array());
+        }
+        ("software", AttributeValue::Text(s)) => own.software_name = Some(text(s)),
+        ("comments", AttributeValue::Text(s)) => own.comments = Some(text(s)),
+        ("owner", AttributeValue::Text(s)) => own.owner = Some(text(s)),
+        _ => {
+            let value = match value {
+                AttributeValue::Text(s) => ExrValue::Text(text(s)),
+                AttributeValue::Float(x) => ExrValue::F32(*x),
+                AttributeValue::Int(i) => ExrValue::I32(*i),
+                // The rows of the transpose are the columns of the matrix.
+                AttributeValue::Matrix(m) => ExrValue::Matrix4x4(m.to_cols_array()),
+            };
+            own.other.insert(text(name), value);
+        }
+    }
+}
+
+/// The first bytes of a file with this header, up to the last attribute, attributes sorted by name.
+///
+/// The exr crate keeps attributes in a hash map with random seeds, so the order it writes them in,
+/// and with it the file, differs from run to run. Sorting changes neither length nor meaning.
+fn serialize_sorted(header: &Header) -> Result<Vec<u8>, String> {
+    let mut file = Cursor::new(Vec::new());
+    // It ends in an error, because no chunk is written, but not before the header is.
+    let ended =
+        exr::block::write(&mut file, [header.clone()].into_iter().collect(), true, |_, _| {
+            Err(exr::error::Error::Aborted)
+        });
+    match ended {
+        Err(exr::error::Error::Aborted) => {}
+        Err(error) => return Err(error.to_string()),
+        Ok(()) => return Err("the exr writer accepts a file without chunks".into()),
+    }
+    let bytes = file.into_inner();
+    let attributes = split_attributes(&bytes).ok_or("the exr writer left a broken header")?;
+    let mut sorted = bytes[..ATTRIBUTES_OFFSET].to_vec();
+    sorted.extend(attributes.into_values().flatten());
+    Ok(sorted)
+}
+
+/// Attributes begin after the magic number and the version.
+const ATTRIBUTES_OFFSET: usize = 8;
+
+/// The attributes of a header by name: each is name, zero, type, zero, size, value; an empty name
+/// ends them. `None` if the bytes end before.
+fn split_attributes(bytes: &[u8]) -> Option<BTreeMap<&[u8], &[u8]>> {
+    let mut attributes = BTreeMap::new();
+    let mut rest = bytes.get(ATTRIBUTES_OFFSET..)?;
+    while *rest.first()? != 0 {
+        let name_bytes = rest.iter().position(|b| *b == 0)?;
+        let type_bytes = rest[name_bytes + 1..].iter().position(|b| *b == 0)?;
+        let value_offset = name_bytes + type_bytes + 6;
+        let size = rest.get(value_offset - 4..value_offset)?.try_into().ok()?;
+        let end = value_offset.checked_add(u32::from_le_bytes(size) as usize)?;
+        attributes.insert(&rest[..name_bytes], rest.get(..end)?);
+        rest = &rest[end..];
+    }
+    Some(attributes)
+}
+
+/// Samples of `rows` rows from `y` in the order of a block: by row, then channel, then column.
+fn gather_rows(channels: &[&Channel], width: usize, y: usize, rows: usize) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(rows * width * channels.len() * 4);
+    for row in y..y + rows {
+        for channel in channels {
+            let samples = &channel.data[row * width..(row + 1) * width];
+            bytes.extend(samples.iter().flat_map(|sample| sample.to_ne_bytes()));
+        }
+    }
+    bytes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::read_exr;
+    use pbgi_math::{Mat4, Vec3};
+    use tempfile::tempdir;
+
+    fn gradient(width: usize, height: usize, names: &[&str]) -> Image {
+        let mut image = Image::new(width, height);
+        for (k, name) in names.iter().enumerate() {
+            image.push(*name, (0..width * height).map(|i| (i * (k + 1)) as f32 * 0.37).collect());
+        }
+        image
+    }
+
+    #[test]
+    fn channels_and_attributes_come_back() {
+        let directory = tempdir().unwrap();
+        let path = directory.path().join("a.exr");
+        let names = ["R", "G", "B", "A", "irradiance.R", "N.X", "AO", "pbgi.cut_size"];
+        let image = gradient(67, 41, &names);
+        let camera = Mat4::from_rotation_y(0.3) * Mat4::from_translation(Vec3::new(1.0, 2.0, 3.0));
+        let attributes = [
+            ("worldToCamera".to_owned(), AttributeValue::Matrix(camera)),
+            ("pbgi/other".to_owned(), AttributeValue::Matrix(camera)),
+            ("software".to_owned(), AttributeValue::Text("pbgi é".into())),
+            ("pbgi/solid_angle".to_owned(), AttributeValue::Float(0.03)),
+            ("pbgi/threads".to_owned(), AttributeValue::Int(-7)),
+        ];
+        write_exr(&path, &image, &attributes).unwrap();
+        let (read, metadata) = read_exr(&path).unwrap();
+        assert_eq!((read.width, read.height, read.channels.len()), (67, 41, names.len()));
+        for name in names {
+            assert_eq!(read.channel(name), image.channel(name), "{name}");
+        }
+        for (name, value) in &attributes {
+            assert_eq!(metadata.attribute(name), Some(value), "{name}");
+        }
+        assert_eq!(metadata.display_size, [67, 41]);
+    }
+
+    /// A camera at (0, 0, 5) that looks along −Z only translates: EXR keeps the translation in the
+    /// last four floats of `worldToCamera`.
+    #[test]
+    fn matrices_are_transposed_in_the_file() {
+        let directory = tempdir().unwrap();
+        let path = directory.path().join("a.exr");
+        let camera = Mat4::from_translation(Vec3::new(0.0, 0.0, -5.0));
+        let attribute = ("worldToCamera".to_owned(), AttributeValue::Matrix(camera));
+        write_exr(&path, &gradient(1, 1, &["Y"]), &[attribute]).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        let key = b"worldToCamera\0m44f\0";
+        let at = bytes.windows(key.len()).position(|w| w == key).unwrap() + key.len() + 4;
+        let floats: Vec<f32> = bytes[at..at + 64]
+            .chunks_exact(4)
+            .map(|b| f32::from_le_bytes(b.try_into().unwrap()))
+            .collect();
+        assert_eq!(floats[12..], [0.0, 0.0, -5.0, 1.0]);
+        assert_eq!([floats[3], floats[7], floats[11]], [0.0; 3]);
+    }
+
+    #[test]
+    fn bytes_repeat() {
+        let directory = tempdir().unwrap();
+        let image = gradient(300, 200, &["R", "G", "B"]);
+        let files: Vec<Vec<u8>> = (0..4)
+            .map(|i| {
+                let path = directory.path().join(format!("{i}.exr"));
+                let attributes: Vec<_> =
+                    (0..9).map(|k| (format!("pbgi/{k}"), AttributeValue::Int(k))).collect();
+                write_exr(&path, &image, &attributes).unwrap();
+                std::fs::read(&path).unwrap()
+            })
+            .collect();
+        assert!(files.iter().all(|f| *f == files[0]));
+    }
+
+    #[test]
+    fn bad_images_are_refused_and_leave_no_file() {
+        let directory = tempdir().unwrap();
+        let path = directory.path().join("a.exr");
+        let good = gradient(2, 2, &["R"]);
+        let mut short = good.clone();
+        short.channels[0].data.pop();
+        let cases = [
+            (Image::new(2, 2), "empty"),
+            (gradient(0, 2, &["R"]), "empty"),
+            (gradient(2, 2, &["R", "R"]), "two channels are called R"),
+            (gradient(2, 2, &[""]), "channel name"),
+            (short, "channel R has 3 samples, expected 4"),
+        ];
+        for (image, message) in cases {
+            let error = write_exr(&path, &image, &[]).unwrap_err().to_string();
+            assert!(error.contains(message), "{error}");
+        }
+        let reserved = ("channels".to_owned(), AttributeValue::Int(1));
+        assert!(write_exr(&path, &good, &[reserved]).is_err());
+        assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0);
+    }
+}
