@@ -1,1 +1,18 @@
-//! Under construction.
+//! Opens octree files and pages them in within a budget.
+//!
+//! The only crate that maps files and accounts for cached bytes. It must never know what the pages are used for.
+#![deny(unsafe_code)]
+
+mod cache;
+mod error;
+mod octree;
+mod source;
+mod stats;
+mod verify;
+
+pub use cache::{Page, PageRef};
+pub use error::StoreError;
+pub use octree::{Octree, OpenOptions, PIN_BYTES_PER_READER_MIN, Reader};
+pub use source::Backend;
+pub use stats::{CacheStats, ReaderStats};
+pub use verify::{LevelCounts, VerifyReport};

@@ -1,0 +1,270 @@
+//! From closed nodes to pages: treelets grow bottom-up until they fill a page.
+
+use crate::aggregate::NodeAggregate;
+use pbgi_cloud::Surfel;
+use pbgi_format::{
+    ChildBox, ChildLink, ExternalLink, GroupFields, LeafSurfel, Lobe, NODE_PAGE_HEADER_BYTES,
+    SurfelLayout, group_bytes, write_group,
+};
+
+/// A closed node that waits for its parent.
+pub(crate) struct PendingNode {
+    pub aggregate: NodeAggregate,
+    pub content: PendingContent,
+}
+
+pub(crate) enum PendingContent {
+    Leaf(Vec<Surfel>),
+    Group(Box<Group>),
+}
+
+/// Where the contents of a group's child are.
+enum ChildContent {
+    /// Surfels, encoded.
+    Leaf { surfels: Vec<u8>, count: u32 },
+    /// A group of the same treelet.
+    Group(Box<Group>),
+    /// A group in a finished page.
+    External(ExternalLink),
+}
+
+struct Child {
+    stored_box: ChildBox,
+    lobes: Vec<Lobe>,
+    content: ChildContent,
+}
+
+/// A group of a treelet that is not yet in a page.
+pub(crate) struct Group {
+    fields: GroupFields,
+    children: Vec<Child>,
+    /// Bytes of the whole treelet's groups.
+    groups_bytes: usize,
+    /// Bytes of the whole treelet's links to other pages.
+    link_bytes: usize,
+    /// Bytes of the whole treelet's surfels.
+    surfel_bytes: usize,
+    /// Groups on the longest way down.
+    pub depth: u32,
+}
+
+impl Group {
+    /// Group over closed nodes, given with their octants in ascending order.
+    pub fn new(
+        split: pbgi_math::Vec3,
+        aggregate: &NodeAggregate,
+        nodes: Vec<(u32, PendingNode)>,
+        layout: &SurfelLayout,
+    ) -> Self {
+        let bounds = aggregate.bounds;
+        let mut fields = GroupFields {
+            bounds,
+            split,
+            cover_margin: aggregate.cover_margin,
+            octants: 0,
+            leaves: 0,
+        };
+        let mut children = Vec::with_capacity(nodes.len());
+        let mut depth = 0;
+        for (octant, node) in nodes {
+            fields.octants |= 1 << octant;
+            let content = match node.content {
+                PendingContent::Leaf(surfels) => {
+                    fields.leaves |= 1 << octant;
+                    encode_leaf(&surfels, &bounds, layout)
+                }
+                PendingContent::Group(group) => {
+                    depth = depth.max(group.depth);
+                    ChildContent::Group(group)
+                }
+            };
+            children.push(Child {
+                stored_box: ChildBox::around(&node.aggregate.bounds, &bounds),
+                lobes: node.aggregate.lobes.iter().map(|l| l.to_lobe()).collect(),
+                content,
+            });
+        }
+        let mut group = Self {
+            fields,
+            children,
+            groups_bytes: 0,
+            link_bytes: 0,
+            surfel_bytes: 0,
+            depth: depth + 1,
+        };
+        group.measure(layout);
+        group
+    }
+
+    /// Children that are leaves, and all children.
+    pub fn counts(&self) -> (u64, u64) {
+        (u64::from(self.fields.leaves.count_ones()), self.children.len() as u64)
+    }
+
+    /// Bytes of this group alone: (without lobes, of lobes).
+    pub fn own_bytes(&self, layout: &SurfelLayout) -> (u64, u64) {
+        let lobe_count: usize = self.children.iter().map(|c| c.lobes.len()).sum();
+        let all = group_bytes(self.children.len(), lobe_count, layout.channels);
+        let lobes = lobe_count * Lobe::stored_bytes(layout.channels);
+        ((all - lobes) as u64, lobes as u64)
+    }
+
+    fn measure(&mut self, layout: &SurfelLayout) {
+        let (hot, lobes) = self.own_bytes(layout);
+        self.groups_bytes = (hot + lobes) as usize;
+        (self.link_bytes, self.surfel_bytes) = (0, 0);
+        for child in &self.children {
+            match &child.content {
+                ChildContent::Leaf { surfels, .. } => self.surfel_bytes += surfels.len(),
+                ChildContent::Group(group) => {
+                    self.groups_bytes += group.groups_bytes;
+                    self.link_bytes += group.link_bytes;
+                    self.surfel_bytes += group.surfel_bytes;
+                }
+                ChildContent::External(_) => self.link_bytes += 8,
+            }
+        }
+    }
+
+    /// Bytes of the whole treelet in a node page.
+    fn node_bytes(&self) -> usize {
+        self.groups_bytes + self.link_bytes
+    }
+
+    /// Whether the treelet is too large for one pair of pages.
+    pub fn exceeds(&self, page_bytes: usize) -> bool {
+        NODE_PAGE_HEADER_BYTES + self.node_bytes() > page_bytes || self.surfel_bytes > page_bytes
+    }
+
+    /// Moves the children's treelets into pages: neighbors share a page as long as they fit.
+    /// `write` turns treelets into a page and says where their roots lie.
+    pub fn flush_children<E>(
+        &mut self,
+        page_bytes: usize,
+        layout: &SurfelLayout,
+        mut write: impl FnMut(&[&Self]) -> Result<Vec<ExternalLink>, E>,
+    ) -> Result<(), E> {
+        let mut start = 0;
+        while start < self.children.len() {
+            let (mut node_bytes, mut surfel_bytes) = (NODE_PAGE_HEADER_BYTES, 0);
+            let mut members = Vec::new();
+            let mut end = start;
+            while end < self.children.len() {
+                if let ChildContent::Group(group) = &self.children[end].content {
+                    node_bytes += group.node_bytes();
+                    surfel_bytes += group.surfel_bytes;
+                    let full = node_bytes > page_bytes || surfel_bytes > page_bytes;
+                    if full && !members.is_empty() {
+                        break;
+                    }
+                    members.push(end);
+                }
+                end += 1;
+            }
+            if !members.is_empty() {
+                let roots: Vec<&Self> = members
+                    .iter()
+                    .filter_map(|&i| match &self.children[i].content {
+                        ChildContent::Group(group) => Some(&**group),
+                        _ => None,
+                    })
+                    .collect();
+                let links = write(&roots)?;
+                for (&i, link) in members.iter().zip(links) {
+                    self.children[i].content = ChildContent::External(link);
+                }
+            }
+            start = end;
+        }
+        self.measure(layout);
+        Ok(())
+    }
+}
+
+fn encode_leaf(
+    surfels: &[Surfel],
+    bounds: &pbgi_math::Aabb,
+    layout: &SurfelLayout,
+) -> ChildContent {
+    let mut bytes = Vec::with_capacity(surfels.len() * layout.stored_bytes());
+    for surfel in surfels {
+        let stored = LeafSurfel {
+            center: surfel.center(),
+            normal: surfel.normal(),
+            radius: surfel.radius,
+            area: surfel.area,
+            radiance: surfel.radiance,
+            albedo: surfel.albedo_rgb(),
+            isotropic: surfel.is_isotropic(),
+            front_only: surfel.is_front_only(),
+        };
+        layout.write(&stored, bounds, &mut bytes);
+    }
+    ChildContent::Leaf { surfels: bytes, count: surfels.len() as u32 }
+}
+
+/// The bytes of a page pair made of treelets.
+pub(crate) struct PackedTreelets {
+    /// Node page, header still zero, without links.
+    pub nodes: Vec<u8>,
+    /// Links to other pages, in the order of their indices.
+    pub links: Vec<ExternalLink>,
+    /// Stored surfels, without header.
+    pub surfels: Vec<u8>,
+    /// Groups in the page.
+    pub group_count: u32,
+    /// Offsets of the treelets' roots.
+    pub root_offsets: Vec<u32>,
+}
+
+/// Lays treelets out one after the other, each in depth-first order: a group precedes its children,
+/// octants ascending.
+pub(crate) fn pack_treelets(roots: &[&Group], layout: &SurfelLayout) -> PackedTreelets {
+    let mut packed = PackedTreelets {
+        nodes: vec![0; NODE_PAGE_HEADER_BYTES],
+        links: Vec::new(),
+        surfels: Vec::new(),
+        group_count: 0,
+        root_offsets: Vec::new(),
+    };
+    for root in roots {
+        packed.root_offsets.push(packed.nodes.len() as u32);
+        pack_group(root, layout, &mut packed);
+    }
+    packed
+}
+
+fn pack_group(group: &Group, layout: &SurfelLayout, packed: &mut PackedTreelets) {
+    packed.group_count += 1;
+    let (hot, lobes) = group.own_bytes(layout);
+    // Offsets of child groups follow from the sizes of the treelets before them.
+    let mut next_offset = packed.nodes.len() + (hot + lobes) as usize;
+    let mut children: Vec<(ChildLink, ChildBox, &[Lobe])> = Vec::with_capacity(8);
+    for child in &group.children {
+        let link = match &child.content {
+            ChildContent::Leaf { surfels, count } => {
+                let first = (packed.surfels.len() / layout.stored_bytes()) as u32;
+                packed.surfels.extend_from_slice(surfels);
+                ChildLink::Leaf { first, count: *count }
+            }
+            ChildContent::Group(inner) => {
+                let link = ChildLink::Group(next_offset as u32);
+                next_offset += inner.groups_bytes;
+                link
+            }
+            ChildContent::External(link) => {
+                packed.links.push(*link);
+                ChildLink::External(packed.links.len() as u32 - 1)
+            }
+        };
+        children.push((link, child.stored_box, &child.lobes));
+    }
+    let codecs = (layout.channels, layout.area, layout.radiance_scale);
+    write_group(&group.fields, &children, codecs, &mut packed.nodes);
+    for child in &group.children {
+        if let ChildContent::Group(inner) = &child.content {
+            pack_group(inner, layout, packed);
+        }
+    }
+    debug_assert_eq!(packed.nodes.len(), next_offset);
+}
