@@ -1,7 +1,7 @@
 //! The scene in memory: meshes placed by instances, materials, textures, cameras.
 
 use crate::Texture;
-use pbgi_math::{Affine3A, Vec2, Vec3};
+use pbgi_math::{Aabb, Affine3A, Vec2, Vec3};
 
 /// A triangle mesh with one material.
 #[derive(Clone, Debug, Default)]
@@ -127,4 +127,18 @@ pub struct Scene {
     pub cameras: Vec<Camera>,
     /// What was left out or read differently than the file says, one sentence each.
     pub warnings: Vec<String>,
+}
+
+impl Scene {
+    /// Box of all triangles in the world: of the meshes' positions under their instances' transforms.
+    #[must_use]
+    pub fn bounds(&self) -> Aabb {
+        let of_instance = |instance: &Instance| {
+            let mesh = self.meshes.get(instance.mesh as usize)?;
+            let used = mesh.triangles.iter().flatten();
+            let points = used.filter_map(|&v| mesh.positions.get(v as usize));
+            Some(Aabb::from_points(points.map(|&p| instance.transform.transform_point3(p))))
+        };
+        self.instances.iter().filter_map(of_instance).fold(Aabb::EMPTY, Aabb::union)
+    }
 }

@@ -1,0 +1,411 @@
+//! The lattice that cuts a triangle into micropolygons.
+
+use pbgi_math::DVec3;
+
+/// Most steps along one edge; keeps every product of two step counts below 2⁶².
+const STEPS_MAX: u64 = 1 << 31;
+
+/// Steps are rounded up, but a length this little above a whole number of steps does not take one
+/// more: equal edges of neighboring triangles, unequal by rounding, take equal steps.
+const STEP_SLACK: f64 = 1e-3;
+
+/// A corner of a piece of a triangle.
+#[derive(Clone, Copy, Debug, Default)]
+struct Corner {
+    position: DVec3,
+    barycentric: DVec3,
+}
+
+/// A triangle, or half of one, under a lattice of parallelograms.
+///
+/// The first corner is the one nearest to a right angle; the lattice has `u_steps` steps along the
+/// edge to the second corner and `v_steps` along the edge to the third. Cell (i, j) is what lies in
+/// the triangle of the parallelogram between steps i..i+1 and j..j+1. Two halves of a parallelogram
+/// get lattices that coincide.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Lattice {
+    origin: Corner,
+    /// Edge vectors (and barycentric differences) to the second and third corner, over the steps.
+    u: Corner,
+    v: Corner,
+    u_steps: u64,
+    v_steps: u64,
+    /// Area of a whole cell.
+    cell_area: f64,
+    /// Covering radius of a whole cell: half its longer diagonal.
+    cell_radius: f64,
+}
+
+/// One micropolygon of a lattice.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Cell {
+    /// Centroid.
+    pub center: DVec3,
+    /// Barycentric coordinates of the centroid in the whole triangle.
+    pub barycentric: DVec3,
+    /// Exact area.
+    pub area: f64,
+    /// Largest distance of a vertex from the centroid.
+    pub radius: f64,
+    column: u64,
+    row: u64,
+    whole: bool,
+}
+
+/// A triangle as one or two lattices.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Lattices {
+    pub pieces: [Lattice; 2],
+    pub piece_count: usize,
+}
+
+impl Lattices {
+    /// Dices the triangle `positions` with steps of at most `spacing`. A triangle with an angle above
+    /// 120° and longer than that is first split by the altitude from that corner, so no cell is a
+    /// narrow rhomb.
+    pub fn new(positions: [DVec3; 3], spacing: f64) -> Self {
+        let corner = |i: usize| Corner {
+            position: positions[i % 3],
+            barycentric: DVec3::from_array(std::array::from_fn(|k| {
+                f64::from(u8::from(k == i % 3))
+            })),
+        };
+        // The angle nearest to 90° is the largest one: opposite the longest edge.
+        let opposite = |i: usize| positions[(i + 1) % 3].distance_squared(positions[(i + 2) % 3]);
+        let apex = (1..3).fold(0, |best, i| if opposite(i) > opposite(best) { i } else { best });
+        let [a, b, c] = [corner(apex), corner(apex + 1), corner(apex + 2)];
+        let (ab, ac) = (b.position - a.position, c.position - a.position);
+        let obtuse = ab.dot(ac) < -0.5 * (ab.length_squared() * ac.length_squared()).sqrt();
+        if !obtuse || count_steps(b.position.distance(c.position), spacing) == 1 {
+            let whole = Lattice::new([a, b, c], spacing);
+            return Self { pieces: [whole, Lattice::default()], piece_count: 1 };
+        }
+        let bc = c.position - b.position;
+        let foot = b.lerp(c, -ab.dot(bc) / bc.length_squared());
+        let pieces = [Lattice::new([foot, a, b], spacing), Lattice::new([foot, c, a], spacing)];
+        Self { pieces, piece_count: 2 }
+    }
+
+    /// Micropolygons of the triangle.
+    pub fn cell_count(&self) -> u64 {
+        self.pieces[..self.piece_count].iter().map(Lattice::cell_count).sum()
+    }
+}
+
+impl Corner {
+    fn lerp(self, other: Self, t: f64) -> Self {
+        Self {
+            position: self.position.lerp(other.position, t),
+            barycentric: self.barycentric.lerp(other.barycentric, t),
+        }
+    }
+
+    fn step_to(self, other: Self, steps: u64) -> Self {
+        Self {
+            position: (other.position - self.position) / steps as f64,
+            barycentric: (other.barycentric - self.barycentric) / steps as f64,
+        }
+    }
+}
+
+impl Lattice {
+    fn new([a, b, c]: [Corner; 3], spacing: f64) -> Self {
+        let u_steps = count_steps(a.position.distance(b.position), spacing);
+        let v_steps = count_steps(a.position.distance(c.position), spacing);
+        let (u, v) = (a.step_to(b, u_steps), a.step_to(c, v_steps));
+        let diagonals = [u.position + v.position, u.position - v.position];
+        Self {
+            origin: a,
+            u,
+            v,
+            u_steps,
+            v_steps,
+            cell_area: u.position.cross(v.position).length(),
+            cell_radius: 0.5 * diagonals[0].length().max(diagonals[1].length()),
+        }
+    }
+
+    /// Cells that meet the inside of the triangle: below the diagonal of the m × n grid there are
+    /// (m n + m + n − gcd(m, n)) / 2, for the diagonal crosses m + n − gcd(m, n) cells.
+    pub fn cell_count(&self) -> u64 {
+        let (m, n) = (self.u_steps, self.v_steps);
+        (m * n + m + n - gcd(m, n)) / 2
+    }
+
+    /// Number of rows.
+    pub fn row_count(&self) -> u64 {
+        self.v_steps
+    }
+
+    /// Cells of `row` that meet the inside of the triangle.
+    pub fn column_count(&self, row: u64) -> u64 {
+        (self.u_steps * (self.v_steps - row)).div_ceil(self.v_steps)
+    }
+
+    /// How many of them, counted from 0, are whole parallelograms.
+    pub fn whole_column_count(&self, row: u64) -> u64 {
+        self.u_steps * (self.v_steps - row - 1) / self.v_steps
+    }
+
+    /// Cell (column, row), whole or clipped.
+    #[inline]
+    pub fn cell(&self, column: u64, row: u64) -> Cell {
+        if column < self.whole_column_count(row) {
+            self.whole_cell(column, row)
+        } else {
+            self.clipped_cell(column, row)
+        }
+    }
+
+    /// The whole parallelogram (column, row).
+    #[inline]
+    pub fn whole_cell(&self, column: u64, row: u64) -> Cell {
+        let (x, y) = (column as f64 + 0.5, row as f64 + 0.5);
+        Cell {
+            center: self.origin.position + self.u.position * x + self.v.position * y,
+            barycentric: self.origin.barycentric + self.u.barycentric * x + self.v.barycentric * y,
+            area: self.cell_area,
+            radius: self.cell_radius,
+            column,
+            row,
+            whole: true,
+        }
+    }
+
+    /// Cell (column, row) clipped by the third edge: a polygon of three to five vertices.
+    pub fn clipped_cell(&self, column: u64, row: u64) -> Cell {
+        let (polygon, count) = self.clip(column, row);
+        let polygon = &polygon[..count];
+        // Area and centroid by the shoelace formula, in steps from the cell's first corner.
+        let (mut double_area, mut x_sum, mut y_sum) = (0.0, 0.0, 0.0);
+        for (k, &[x0, y0]) in polygon.iter().enumerate() {
+            let [x1, y1] = polygon[(k + 1) % count];
+            let cross = x0 * y1 - x1 * y0;
+            double_area += cross;
+            x_sum += (x0 + x1) * cross;
+            y_sum += (y0 + y1) * cross;
+        }
+        let (x, y) = if double_area > 0.0 {
+            (x_sum / (3.0 * double_area), y_sum / (3.0 * double_area))
+        } else {
+            (0.0, 0.0)
+        };
+        let reach = |&[px, py]: &[f64; 2]| {
+            (self.u.position * (px - x) + self.v.position * (py - y)).length_squared()
+        };
+        let radius_squared = polygon.iter().map(reach).fold(0.0, f64::max);
+        let (x, y) = (x + column as f64, y + row as f64);
+        Cell {
+            center: self.origin.position + self.u.position * x + self.v.position * y,
+            barycentric: self.origin.barycentric + self.u.barycentric * x + self.v.barycentric * y,
+            area: 0.5 * double_area * self.cell_area,
+            radius: radius_squared.sqrt(),
+            column,
+            row,
+            whole: false,
+        }
+    }
+
+    /// The part of cell (column, row) in the triangle, as vertices in steps from the cell's first
+    /// corner, counterclockwise, and their number.
+    fn clip(&self, column: u64, row: u64) -> ([[f64; 2]; 6], usize) {
+        const SQUARE: [[f64; 2]; 4] = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
+        let inside = |[x, y]: [f64; 2]| self.inside(column, row, x, y);
+        let mut polygon = [[0.0; 2]; 6];
+        let mut count = 0;
+        let mut push = |vertex: [f64; 2]| {
+            polygon[count] = vertex;
+            count += 1;
+        };
+        for (k, &from) in SQUARE.iter().enumerate() {
+            let to = SQUARE[(k + 1) % 4];
+            let (from_inside, to_inside) = (inside(from), inside(to));
+            if from_inside >= 0.0 {
+                push(from);
+            }
+            if (from_inside > 0.0) != (to_inside > 0.0) && from_inside != 0.0 && to_inside != 0.0 {
+                let t = from_inside / (from_inside - to_inside);
+                push([from[0] + (to[0] - from[0]) * t, from[1] + (to[1] - from[1]) * t]);
+            }
+        }
+        (polygon, count)
+    }
+
+    /// At least 0 where the point `x`, `y` steps into cell (column, row) is in the triangle:
+    /// mn − (column + x) n − (row + y) m, the whole numbers taken first to lose no digits.
+    fn inside(&self, column: u64, row: u64, x: f64, y: f64) -> f64 {
+        let (m, n) = (self.u_steps, self.v_steps);
+        let rest = m * n - column * n - row * m;
+        rest as f64 - x * n as f64 - y * m as f64
+    }
+
+    /// Barycentric coordinates of the points of a regular `edge` × `edge` grid over `cell` that lie
+    /// in it; the centroid if none does. Calls `visit` with each.
+    pub fn visit_grid(&self, cell: &Cell, edge: u32, mut visit: impl FnMut(DVec3)) {
+        let mut visited = false;
+        for k in 0..edge * edge {
+            let x = (f64::from(k % edge) + 0.5) / f64::from(edge);
+            let y = (f64::from(k / edge) + 0.5) / f64::from(edge);
+            if cell.whole || self.inside(cell.column, cell.row, x, y) >= 0.0 {
+                let (x, y) = (x + cell.column as f64, y + cell.row as f64);
+                visit(self.origin.barycentric + self.u.barycentric * x + self.v.barycentric * y);
+                visited = true;
+            }
+        }
+        if !visited {
+            visit(cell.barycentric);
+        }
+    }
+}
+
+/// Steps of at most `spacing` (give or take [`STEP_SLACK`]) along `length`, at least 1.
+fn count_steps(length: f64, spacing: f64) -> u64 {
+    // A float cast saturates, and takes what is not a number to 0.
+    ((length / spacing - STEP_SLACK).ceil() as u64).clamp(1, STEPS_MAX)
+}
+
+fn gcd(mut a: u64, mut b: u64) -> u64 {
+    while b != 0 {
+        (a, b) = (b, a % b);
+    }
+    a
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    /// Calls `visit` with every cell of a triangle.
+    pub fn visit_cells(lattices: &Lattices, mut visit: impl FnMut(&Lattice, Cell)) {
+        for lattice in &lattices.pieces[..lattices.piece_count] {
+            for row in 0..lattice.row_count() {
+                for column in 0..lattice.column_count(row) {
+                    visit(lattice, lattice.cell(column, row));
+                }
+            }
+        }
+    }
+
+    /// A splitmix64 sequence in 0..1.
+    pub fn random(seed: u64) -> impl FnMut() -> f64 {
+        let mut state = seed;
+        move || {
+            state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+            let mut z = state;
+            z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+            ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+        }
+    }
+
+    fn random_triangle(next: &mut impl FnMut() -> f64) -> [DVec3; 3] {
+        let mut point = || DVec3::new(next(), next(), next()) * 4.0;
+        let [a, b, c] = [point(), point(), point()];
+        // Every other one is a needle.
+        if next() < 0.5 { [a, b, c] } else { [a, b, a.lerp(b, next()) + (c - a) * 1e-4] }
+    }
+
+    #[test]
+    fn cells_tile_every_triangle() {
+        let mut next = random(1);
+        for _ in 0..400 {
+            let t = random_triangle(&mut next);
+            let area = 0.5 * (t[1] - t[0]).cross(t[2] - t[0]).length();
+            let centroid = (t[0] + t[1] + t[2]) / 3.0;
+            let lattices = Lattices::new(t, 0.05 + 3.0 * next());
+            let (mut sum, mut moment, mut count) = (0.0, DVec3::ZERO, 0);
+            visit_cells(&lattices, |_, cell| {
+                assert!(cell.area > 0.0 && cell.radius > 0.0);
+                let b = cell.barycentric;
+                assert!(b.min_element() > -1e-12 && (b.element_sum() - 1.0).abs() < 1e-12);
+                assert!((t[0] * b.x + t[1] * b.y + t[2] * b.z - cell.center).length() < 1e-11);
+                sum += cell.area;
+                moment += cell.center * cell.area;
+                count += 1;
+            });
+            assert!((sum / area - 1.0).abs() < 1e-8, "{sum} {area} {t:?}");
+            assert!((moment / sum - centroid).length() < 1e-6);
+            assert_eq!(count, lattices.cell_count());
+        }
+    }
+
+    #[test]
+    fn every_point_is_covered_by_a_disk() {
+        let mut next = random(2);
+        for _ in 0..200 {
+            let t = random_triangle(&mut next);
+            let mut disks = vec![];
+            visit_cells(&Lattices::new(t, 0.3 + next()), |_, cell| {
+                disks.push((cell.center, cell.radius));
+            });
+            for _ in 0..100 {
+                let (mut x, mut y) = (next(), next());
+                if x + y > 1.0 {
+                    (x, y) = (1.0 - x, 1.0 - y);
+                }
+                let point = t[0] + (t[1] - t[0]) * x + (t[2] - t[0]) * y;
+                let covered = |&(center, radius): &(DVec3, f64)| {
+                    point.distance(center) <= radius * (1.0 + 1e-9) + 1e-12
+                };
+                assert!(disks.iter().any(covered), "{point} of {t:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn cells_are_no_wider_than_the_spacing_allows() {
+        let mut next = random(3);
+        for _ in 0..200 {
+            let spacing = 0.1 + next();
+            visit_cells(&Lattices::new(random_triangle(&mut next), spacing), |_, cell| {
+                // Half the longer diagonal of a rhomb of 120°.
+                assert!(cell.radius <= 0.867 * spacing * 1.01);
+            });
+        }
+    }
+
+    #[test]
+    fn halves_of_a_rectangle_share_their_lattice() {
+        let (a, b) = (DVec3::new(1.7, 0.3, -0.2), DVec3::new(0.1, 0.2, 1.15));
+        let origin = DVec3::new(0.4, 2.0, -5.0);
+        let collect = |t: [DVec3; 3]| {
+            let (mut whole, mut halves) = (vec![], vec![]);
+            visit_cells(&Lattices::new(t, 0.1), |_, cell| {
+                if cell.whole { whole.push(cell) } else { halves.push(cell) }
+            });
+            (whole, halves)
+        };
+        let first = collect([origin, origin + a, origin + b]);
+        let second = collect([origin + a + b, origin + b, origin + a]);
+        let offsets = |cells: &[Cell]| {
+            let (u, v) = (a / 18.0, b / 12.0);
+            let at = |c: &Cell| {
+                let d = c.center - origin;
+                let n = a.cross(b);
+                let coordinates = [d.cross(b).dot(n), a.cross(d).dot(n)].map(|x| x / n.dot(n));
+                [coordinates[0] * a.length() / u.length(), coordinates[1] * b.length() / v.length()]
+            };
+            cells.iter().map(at).collect::<Vec<_>>()
+        };
+        for cells in [&first.0, &second.0] {
+            for [x, y] in offsets(cells) {
+                assert!((x.fract() - 0.5).abs() < 1e-9 && (y.fract() - 0.5).abs() < 1e-9);
+            }
+        }
+        // A clipped cell of one half completes one of the other half.
+        let total: f64 = first.1.iter().chain(&second.1).map(|c| c.area).sum();
+        let whole = a.cross(b).length() - (first.0.len() + second.0.len()) as f64 * first.0[0].area;
+        assert!((total / whole - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn rounding_of_edges_does_not_add_a_step() {
+        assert_eq!(count_steps(1.0, 0.25), 4);
+        assert_eq!(count_steps(1.000_000_1, 0.25), 4);
+        assert_eq!(count_steps(0.999_999_9, 0.25), 4);
+        assert_eq!(count_steps(1.01, 0.25), 5);
+        assert_eq!(count_steps(1.0, f64::INFINITY), 1);
+        assert_eq!(count_steps(1.0, 1e-300), 1 << 31);
+        assert_eq!(count_steps(f64::NAN, 1.0), 1);
+    }
+}

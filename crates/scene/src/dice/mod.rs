@@ -1,0 +1,583 @@
+//! Dicing: from meshes to micropolygons, one surfel (or two back to back) each.
+
+mod lattice;
+mod spacing;
+mod surface;
+mod triangle;
+
+use crate::{Instance, Scene};
+use pbgi_cloud::{CloudError, Surfel, SurfelSource};
+use pbgi_math::Aabb;
+use rayon::prelude::*;
+use std::ops::Range;
+use triangle::{DicedTriangle, InstanceView};
+
+/// Surfels appended by one call of [`SurfelSource::read_chunk`], give or take one.
+const CHUNK_SURFELS: usize = 4096;
+
+/// Triangles of one task when counting.
+const RUN_TRIANGLES: usize = 1024;
+
+/// How fine to dice.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Spacing {
+    /// Longest micropolygon edge, in scene units, above 0. Triangles smaller than that are their own
+    /// micropolygon.
+    Length(f32),
+    /// As many surfels as this, within 2 % where the scene allows: there is at least one surfel per
+    /// triangle (two if it has two sides), and the counts of a few large triangles come in steps.
+    Count(u64),
+}
+
+/// Which surfaces get a surfel for each side.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum TwoSided {
+    /// Those whose material is double-sided.
+    #[default]
+    Material,
+    /// All. A single-sided material still emits from its front only.
+    All,
+    /// None: one surfel, lit on its front and black at its back.
+    None,
+}
+
+/// How to dice a scene.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DiceOptions {
+    /// How fine.
+    pub spacing: Spacing,
+    /// Which surfaces get two surfels back to back, each with [`pbgi_cloud::SurfelFlags::FRONT_ONLY`].
+    pub two_sided: TwoSided,
+}
+
+/// Why a scene cannot be diced.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum DiceError {
+    /// The spacing is no length.
+    #[error("the spacing is {found}, but must be a length above 0")]
+    Spacing {
+        /// The spacing given.
+        found: f32,
+    },
+    /// An index of the scene points to nothing.
+    #[error("{place} refers to {what} {found}, but there are only {count}")]
+    Index {
+        /// Where the index is.
+        place: String,
+        /// What it should point to.
+        what: &'static str,
+        /// The index.
+        found: u32,
+        /// Number of things it may point to.
+        count: usize,
+    },
+}
+
+/// The micropolygons of a scene as a stream of surfels, in the order of instances, triangles, rows
+/// of the triangle's lattice, columns; nothing is stored but the place in that order.
+///
+/// Each triangle is cut by a lattice of parallelograms along the two edges of its largest corner,
+/// with steps of at most the spacing; cells on the third edge are clipped to it. A micropolygon's
+/// surfel lies at its centroid, has exactly its area, a radius that reaches all its vertices, the
+/// triangle's geometric normal, its filtered albedo, and its emission as radiance. Both the areas
+/// and the disks of all surfels therefore cover each triangle exactly and without holes. Where a
+/// mask cuts holes, the area is scaled by the opaque share, the radius by its root, and what is all
+/// hole is left out.
+///
+/// Triangles without area are skipped and counted.
+pub struct DicedScene<'a> {
+    meshes: Meshes<'a>,
+    spacing: f64,
+    count: u64,
+    totals: Totals,
+    bounds: Aabb,
+    cursor: Cursor<'a>,
+}
+
+/// What is diced.
+#[derive(Clone, Copy)]
+struct Meshes<'a> {
+    scene: &'a Scene,
+    two_sided: TwoSided,
+}
+
+/// The place in the stream.
+#[derive(Default)]
+struct Cursor<'a> {
+    instance: usize,
+    view: Option<InstanceView<'a>>,
+    next_triangle: usize,
+    triangle: Option<DicedTriangle<'a>>,
+    piece: usize,
+    row: u64,
+    column: u64,
+}
+
+/// Sums over the triangles of a scene.
+#[derive(Clone, Copy, Default)]
+struct Totals {
+    area: f64,
+    /// Two-sided surfaces count twice.
+    sided_area: f64,
+    degenerate_count: u64,
+}
+
+impl<'a> DicedScene<'a> {
+    /// Prepares to dice `scene`. Counts the surfels, for [`Spacing::Count`] at up to eight spacings:
+    /// a fast closed form per triangle, but masked materials are sampled. Uses the threads of the
+    /// current rayon pool; the result does not depend on their number.
+    ///
+    /// # Errors
+    ///
+    /// If the spacing is not above 0, or an index in the scene points to nothing.
+    pub fn new(scene: &'a Scene, options: DiceOptions) -> Result<Self, DiceError> {
+        validate(scene)?;
+        let meshes = Meshes { scene, two_sided: options.two_sided };
+        let totals = meshes.sum_triangles();
+        let found = match options.spacing {
+            Spacing::Length(length) if length > 0.0 => {
+                let spacing = f64::from(length);
+                spacing::Evaluation { spacing, count: meshes.count_surfels(spacing) }
+            }
+            Spacing::Length(found) => return Err(DiceError::Spacing { found }),
+            Spacing::Count(target) => {
+                spacing::find_spacing(target, totals.sided_area, |h| meshes.count_surfels(h))
+            }
+        };
+        Ok(Self {
+            meshes,
+            spacing: found.spacing,
+            count: found.count,
+            totals,
+            bounds: scene.bounds(),
+            cursor: Cursor::default(),
+        })
+    }
+
+    /// Longest micropolygon edge in scene units; infinite if [`Spacing::Count`] asked for fewer
+    /// surfels than there are triangles.
+    #[must_use]
+    pub fn spacing(&self) -> f64 {
+        self.spacing
+    }
+
+    /// Area of all triangles in scene units squared: one side, holes included.
+    #[must_use]
+    pub fn area(&self) -> f64 {
+        self.totals.area
+    }
+
+    /// Triangles without area, which give no surfel.
+    #[must_use]
+    pub fn degenerate_count(&self) -> u64 {
+        self.totals.degenerate_count
+    }
+
+    /// Starts the stream again.
+    pub fn rewind(&mut self) {
+        self.cursor = Cursor::default();
+    }
+}
+
+impl SurfelSource for DicedScene<'_> {
+    /// Box of all meshes, which holds all centers.
+    fn bounds(&self) -> Option<Aabb> {
+        (!self.bounds.is_empty()).then_some(self.bounds)
+    }
+
+    fn count(&self) -> Option<u64> {
+        Some(self.count)
+    }
+
+    fn read_chunk(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
+        let end = out.len() + CHUNK_SURFELS;
+        while out.len() < end {
+            if !self.cursor.find_triangle(self.meshes, self.spacing) {
+                return Ok(false);
+            }
+            self.cursor.read_row(end, out);
+        }
+        Ok(true)
+    }
+}
+
+impl<'a> Cursor<'a> {
+    /// Moves on to the next triangle if none is being read; `false` at the end of the scene.
+    fn find_triangle(&mut self, meshes: Meshes<'a>, spacing: f64) -> bool {
+        while self.triangle.is_none() {
+            let Some(instance) = meshes.scene.instances.get(self.instance) else { return false };
+            let view = *self.view.get_or_insert_with(|| meshes.view(instance));
+            if self.next_triangle == view.mesh.triangles.len() {
+                *self = Self { instance: self.instance + 1, ..Self::default() };
+                continue;
+            }
+            let index = self.next_triangle;
+            self.next_triangle += 1;
+            self.triangle = view.triangle(index).map(|t| view.dice(&t, index, spacing));
+        }
+        true
+    }
+
+    /// Appends surfels of the current row until it or the room up to `end` is used up.
+    fn read_row(&mut self, end: usize, out: &mut Vec<Surfel>) {
+        let Some(triangle) = &mut self.triangle else { return };
+        let lattice = triangle.lattices.pieces[self.piece];
+        let columns = lattice.column_count(self.row);
+        let whole_columns = lattice.whole_column_count(self.row);
+        while self.column < columns && out.len() < end {
+            let cell = if self.column < whole_columns {
+                lattice.whole_cell(self.column, self.row)
+            } else {
+                lattice.clipped_cell(self.column, self.row)
+            };
+            triangle.push_surfels(&lattice, &cell, out);
+            self.column += 1;
+        }
+        if self.column == columns {
+            (self.row, self.column) = (self.row + 1, 0);
+        }
+        if self.row == lattice.row_count() {
+            (self.piece, self.row) = (self.piece + 1, 0);
+        }
+        if self.piece == triangle.lattices.piece_count {
+            (self.triangle, self.piece) = (None, 0);
+        }
+    }
+}
+
+impl<'a> Meshes<'a> {
+    fn view(&self, instance: &Instance) -> InstanceView<'a> {
+        InstanceView::new(self.scene, instance, self.two_sided)
+    }
+
+    /// Maps runs of triangles of each instance in parallel; results in the order of the scene.
+    fn map_runs<T: Send>(&self, map: impl Fn(&InstanceView, Range<usize>) -> T + Sync) -> Vec<T> {
+        let runs: Vec<(InstanceView, Range<usize>)> = self
+            .scene
+            .instances
+            .iter()
+            .map(|instance| self.view(instance))
+            .flat_map(|view| {
+                let count = view.mesh.triangles.len();
+                let starts = (0..count).step_by(RUN_TRIANGLES);
+                starts.map(move |start| (view, start..count.min(start + RUN_TRIANGLES)))
+            })
+            .collect();
+        runs.into_par_iter().map(|(view, run)| map(&view, run)).collect()
+    }
+
+    fn sum_triangles(&self) -> Totals {
+        let runs = self.map_runs(|view, run| {
+            let mut totals = Totals::default();
+            for index in run {
+                match view.triangle(index) {
+                    Some(triangle) => totals.area += triangle.area,
+                    None => totals.degenerate_count += 1,
+                }
+            }
+            Totals { sided_area: totals.area * view.side_count() as f64, ..totals }
+        });
+        // In order: the sum is the same for any number of threads.
+        runs.iter().fold(Totals::default(), |sum, run| Totals {
+            area: sum.area + run.area,
+            sided_area: sum.sided_area + run.sided_area,
+            degenerate_count: sum.degenerate_count + run.degenerate_count,
+        })
+    }
+
+    fn count_surfels(&self, spacing: f64) -> u64 {
+        let runs = self.map_runs(|view, run| {
+            run.filter_map(|index| view.count_surfels(index, spacing)).fold(0, u64::saturating_add)
+        });
+        runs.into_iter().fold(0, u64::saturating_add)
+    }
+}
+
+/// Checks every index that dicing follows.
+fn validate(scene: &Scene) -> Result<(), DiceError> {
+    let check = |place: &dyn Fn() -> String, what, found: u32, count: usize| {
+        let error = || DiceError::Index { place: place(), what, found, count };
+        if (found as usize) < count { Ok(()) } else { Err(error()) }
+    };
+    for (i, instance) in scene.instances.iter().enumerate() {
+        check(&|| format!("instance {i}"), "mesh", instance.mesh, scene.meshes.len())?;
+    }
+    for (i, mesh) in scene.meshes.iter().enumerate() {
+        let place = || format!("mesh {i}");
+        check(&place, "material", mesh.material, scene.materials.len())?;
+        let largest = mesh.triangles.iter().flatten().max();
+        largest.map_or(Ok(()), |&v| check(&place, "vertex", v, mesh.positions.len()))?;
+    }
+    for (i, material) in scene.materials.iter().enumerate() {
+        for texture in [material.base_color_texture, material.emission_texture] {
+            let place = || format!("material {i} ({})", material.name);
+            texture.map_or(Ok(()), |t| check(&place, "texture", t, scene.textures.len()))?;
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Material, Mesh, Texture};
+    use pbgi_cloud::SurfelFlags;
+    use pbgi_math::{Affine3A, Mat3, Vec2, Vec3};
+
+    /// One instance of one mesh.
+    fn scene_of(mesh: Mesh, material: Material) -> Scene {
+        Scene {
+            meshes: vec![mesh],
+            instances: vec![Instance { mesh: 0, transform: Affine3A::IDENTITY }],
+            materials: vec![material],
+            ..Scene::default()
+        }
+    }
+
+    /// The square 0..1 × 0..1 at z = 0, facing +z, texture coordinates along x and y.
+    fn square() -> Mesh {
+        let corners = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]].map(Vec2::from_array);
+        Mesh {
+            positions: corners.iter().map(|c| c.extend(0.0)).collect(),
+            uvs: corners.to_vec(),
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+            ..Mesh::default()
+        }
+    }
+
+    /// Sphere of `rings` × 2 `rings` quads, some degenerate at the poles.
+    fn sphere(rings: u32) -> Mesh {
+        let columns = 2 * rings;
+        let vertex = |i: u32| {
+            let theta = (i / (columns + 1)) as f32 / rings as f32 * std::f32::consts::PI;
+            let phi = (i % (columns + 1)) as f32 / columns as f32 * std::f32::consts::TAU;
+            // Exactly at the poles, where the triangles then have no area.
+            let sin = if i / (columns + 1) == rings { 0.0 } else { theta.sin() };
+            Vec3::new(sin * phi.cos(), sin * phi.sin(), theta.cos())
+        };
+        let quad = |i: u32| {
+            let v = i / columns * (columns + 1) + i % columns;
+            [[v, v + columns + 1, v + 1], [v + 1, v + columns + 1, v + columns + 2]]
+        };
+        Mesh {
+            positions: (0..(rings + 1) * (columns + 1)).map(vertex).collect(),
+            triangles: (0..rings * columns).flat_map(quad).collect(),
+            ..Mesh::default()
+        }
+    }
+
+    fn dice(scene: &Scene, spacing: Spacing, two_sided: TwoSided) -> Vec<Surfel> {
+        let mut diced = DicedScene::new(scene, DiceOptions { spacing, two_sided }).unwrap();
+        let surfels = read_all(&mut diced);
+        assert_eq!(diced.count(), Some(surfels.len() as u64));
+        let bounds = diced.bounds().unwrap();
+        assert!(surfels.iter().all(|s| bounds.contains(s.center())));
+        surfels
+    }
+
+    fn read_all(diced: &mut DicedScene) -> Vec<Surfel> {
+        let mut surfels = vec![];
+        loop {
+            let before = surfels.len();
+            let more = diced.read_chunk(&mut surfels).unwrap();
+            assert!(surfels.len() - before <= CHUNK_SURFELS + 1);
+            if !more {
+                return surfels;
+            }
+        }
+    }
+
+    fn area_of(surfels: &[Surfel]) -> f64 {
+        surfels.iter().map(|s| f64::from(s.area)).sum()
+    }
+
+    #[test]
+    fn surfel_areas_sum_to_the_area_of_the_mesh() {
+        for rings in [3, 8, 40] {
+            let scene = scene_of(sphere(rings), Material::default());
+            for spacing in [0.013, 0.1, 10.0] {
+                let options =
+                    DiceOptions { spacing: Spacing::Length(spacing), two_sided: TwoSided::None };
+                let mut diced = DicedScene::new(&scene, options).unwrap();
+                let surfels = read_all(&mut diced);
+                assert!((area_of(&surfels) / diced.area() - 1.0).abs() < 1e-6);
+                assert_eq!(diced.degenerate_count(), u64::from(4 * rings));
+                assert!(surfels.iter().all(|s| s.normal().dot(s.center()) > 0.0));
+            }
+        }
+        let square = scene_of(square(), Material::default());
+        assert!(
+            (area_of(&dice(&square, Spacing::Length(0.03), TwoSided::None)) - 1.0).abs() < 1e-6
+        );
+    }
+
+    #[test]
+    fn counts_are_met_within_two_percent() {
+        let cloth = Material { double_sided: true, ..Material::default() };
+        let mut scene = scene_of(sphere(24), cloth);
+        // Unlike triangles do not jump to the next count together.
+        scene.instances[0].transform = Affine3A::from_scale(Vec3::new(1.0, 1.9, 0.5));
+        for (two_sided, target) in [(TwoSided::None, 50_000), (TwoSided::Material, 80_000)] {
+            let count = dice(&scene, Spacing::Count(target), two_sided).len() as f64;
+            assert!((count / target as f64 - 1.0).abs() < 0.02, "{count}");
+        }
+        // One per triangle is the least; the two rings at the poles have half as many.
+        assert_eq!(dice(&scene, Spacing::Count(5), TwoSided::None).len(), 24 * 48 * 2 - 2 * 48);
+    }
+
+    #[test]
+    fn two_sided_surfaces_give_surfels_back_to_back() {
+        let lamp = Material { emission: [3.0, 2.0, 1.0], ..Material::default() };
+        let cloth = Material { double_sided: true, ..lamp.clone() };
+        for (material, two_sided, back) in [
+            (&lamp, TwoSided::Material, None),
+            (&lamp, TwoSided::None, None),
+            (&cloth, TwoSided::None, None),
+            (&cloth, TwoSided::Material, Some([3.0, 2.0, 1.0])),
+            (&lamp, TwoSided::All, Some([0.0; 3])),
+        ] {
+            let scene = scene_of(square(), material.clone());
+            let surfels = dice(&scene, Spacing::Length(0.2), two_sided);
+            assert_eq!(surfels.len(), if back.is_some() { 60 } else { 30 });
+            for (i, surfel) in surfels.iter().enumerate() {
+                let is_back = back.is_some() && i % 2 == 1;
+                assert_eq!(surfel.is_front_only(), back.is_some());
+                assert!((surfel.normal().z - if is_back { -1.0 } else { 1.0 }).abs() < 1e-6);
+                let expected = if is_back { back.unwrap() } else { [3.0, 2.0, 1.0] };
+                assert_eq!(surfel.radiance, expected);
+                assert_eq!(surfel.position, surfels[i & !usize::from(is_back)].position);
+            }
+        }
+    }
+
+    #[test]
+    fn mirrored_instances_keep_their_front() {
+        let mut scene = scene_of(sphere(6), Material::default());
+        let mirror = Mat3::from_diagonal(Vec3::new(-2.0, 1.0, 1.0));
+        scene.instances[0].transform = Affine3A::from_mat3_translation(mirror, Vec3::X * 10.0);
+        assert!(scene.instances[0].flips());
+        for surfel in dice(&scene, Spacing::Length(0.3), TwoSided::None) {
+            assert!(surfel.normal().dot(surfel.center() - Vec3::X * 10.0) > 0.0);
+        }
+    }
+
+    #[test]
+    fn textures_and_vertex_colors_reach_the_albedo() {
+        let texels = (0..64).map(|i| if i % 8 < 4 { [255, 0, 0, 9] } else { [0, 255, 0, 9] });
+        let texture = Texture::new(8, 8, texels.collect(), true).unwrap();
+        let material = Material {
+            base_color: [0.5; 3],
+            base_color_texture: Some(0),
+            metallic: 0.25,
+            ..Material::default()
+        };
+        let mut mesh = square();
+        mesh.colors = vec![[1.0, 0.5, 1.0]; 4];
+        let mut scene = scene_of(mesh, material);
+        scene.textures.push(texture);
+        for surfel in dice(&scene, Spacing::Length(0.02), TwoSided::None) {
+            let [r, g, b] = surfel.albedo_rgb();
+            match surfel.center().x {
+                x if x > 0.1 && x < 0.4 => assert!((r - 0.375).abs() < 1e-3 && g == 0.0),
+                x if x > 0.6 && x < 0.9 => assert!((g - 0.1875).abs() < 1e-3 && r == 0.0),
+                _ => assert!(b == 0.0),
+            }
+        }
+        // One surfel for each half of the square: the average of the texture.
+        for surfel in dice(&scene, Spacing::Length(2.0), TwoSided::None) {
+            let [r, g, _] = surfel.albedo_rgb();
+            assert!((r / 0.1875 - 1.0).abs() < 0.4 && (g / 0.09375 - 1.0).abs() < 0.4);
+        }
+    }
+
+    #[test]
+    fn holes_take_area_away() {
+        // The left half is a hole.
+        let texels = (0..64).map(|i| [255, 255, 255, if i % 8 < 4 { 0 } else { 255 }]);
+        let material = Material {
+            base_color_texture: Some(0),
+            alpha_cutoff: Some(0.5),
+            double_sided: true,
+            ..Material::default()
+        };
+        let mut scene = scene_of(square(), material);
+        scene.textures.push(Texture::new(8, 8, texels.collect(), true).unwrap());
+        for spacing in [0.007, 0.05, 0.3, 0.9] {
+            let surfels = dice(&scene, Spacing::Length(spacing), TwoSided::Material);
+            assert!((area_of(&surfels) / 2.0 - 0.5).abs() < 0.05, "{}", area_of(&surfels));
+            let whole = dice(&scene, Spacing::Length(spacing), TwoSided::None).len();
+            assert_eq!(surfels.len(), 2 * whole);
+            assert!(surfels.iter().all(|s| s.flags.contains(SurfelFlags::FRONT_ONLY)));
+        }
+        let target = Spacing::Count(20_000);
+        let count = dice(&scene, target, TwoSided::Material).len() as f64;
+        assert!((count / 20_000.0 - 1.0).abs() < 0.03, "{count}");
+        // A cutoff above 1 without a texture: all hole.
+        scene.materials[0] = Material { alpha_cutoff: Some(1.5), ..Material::default() };
+        assert!(dice(&scene, Spacing::Length(0.1), TwoSided::All).is_empty());
+    }
+
+    #[test]
+    fn rewinding_and_threads_change_nothing() {
+        let scene = scene_of(sphere(30), Material::default());
+        let options = DiceOptions { spacing: Spacing::Count(30_000), two_sided: TwoSided::None };
+        let mut diced = DicedScene::new(&scene, options).unwrap();
+        let first = read_all(&mut diced);
+        diced.rewind();
+        assert_eq!(first, read_all(&mut diced));
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        let single = pool.install(|| DicedScene::new(&scene, options)).unwrap();
+        assert_eq!(diced.area().to_bits(), single.area().to_bits());
+        assert_eq!(diced.spacing().to_bits(), single.spacing().to_bits());
+    }
+
+    #[test]
+    fn broken_scenes_are_refused() {
+        let sound = scene_of(square(), Material::default());
+        let refused = |scene: &Scene, spacing| {
+            DicedScene::new(scene, DiceOptions { spacing, two_sided: TwoSided::None }).is_err()
+        };
+        for length in [0.0, -1.0, f32::NAN] {
+            assert!(refused(&sound, Spacing::Length(length)));
+        }
+        let breaks: [fn(&mut Scene); 4] = [
+            |s| s.instances[0].mesh = 1,
+            |s| s.meshes[0].material = 1,
+            |s| s.meshes[0].triangles[1][2] = 4,
+            |s| s.materials[0].emission_texture = Some(0),
+        ];
+        for break_scene in breaks {
+            let mut scene = sound.clone();
+            break_scene(&mut scene);
+            assert!(refused(&scene, Spacing::Length(0.1)));
+        }
+        let empty = Scene::default();
+        assert!(dice_empty(&empty).is_empty());
+    }
+
+    fn dice_empty(scene: &Scene) -> Vec<Surfel> {
+        let options = DiceOptions { spacing: Spacing::Count(100), two_sided: TwoSided::None };
+        let mut diced = DicedScene::new(scene, options).unwrap();
+        assert_eq!(diced.bounds(), None);
+        read_all(&mut diced)
+    }
+
+    #[test]
+    #[ignore = "measures speed: cargo test --release -p pbgi-scene dicing_speed -- --ignored --nocapture"]
+    fn dicing_speed() {
+        for (name, rings, count) in [("large", 4, 4_000_000), ("small", 1000, 4_000_000)] {
+            let scene = scene_of(sphere(rings), Material::default());
+            let options = DiceOptions { spacing: Spacing::Count(count), two_sided: TwoSided::None };
+            let mut diced = DicedScene::new(&scene, options).unwrap();
+            let start = std::time::Instant::now();
+            let (mut chunk, mut total) = (vec![], 0);
+            while diced.read_chunk(&mut chunk).unwrap() {
+                total += chunk.len();
+                chunk.clear();
+            }
+            let seconds = start.elapsed().as_secs_f64();
+            println!("{name} triangles: {:.1} M surfels/s", total as f64 / seconds * 1e-6);
+        }
+    }
+}

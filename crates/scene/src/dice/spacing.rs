@@ -1,0 +1,88 @@
+//! The spacing that gives a wanted number of surfels.
+
+/// Most evaluations of the count.
+const EVALUATIONS_MAX: u32 = 8;
+
+/// How far from the target a count may stay, relative.
+const TOLERANCE: f64 = 0.02;
+
+/// A spacing and the count it gives.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Evaluation {
+    pub spacing: f64,
+    pub count: u64,
+}
+
+/// Spacing at which `count` (never rising with the spacing) is within 2 % of `target`, or as near as
+/// at most eight evaluations find. Small scenes have few triangles whose counts jump together: not
+/// every target can be met.
+///
+/// Starts at √(`area` / `target`), then interpolates linearly in the logarithms of spacing and count
+/// between the nearest known spacings on both sides, or extrapolates as count ∝ spacing⁻².
+/// Deterministic. An infinite spacing is returned where even one surfel per triangle is too many.
+pub(super) fn find_spacing(target: u64, area: f64, count: impl Fn(f64) -> u64) -> Evaluation {
+    let evaluate = |spacing: f64| Evaluation { spacing, count: count(spacing) };
+    let fewest = evaluate(f64::INFINITY);
+    // Also taken when the area is 0 or not finite.
+    if target <= fewest.count || !(area > 0.0 && area.is_finite()) {
+        return fewest;
+    }
+    let ratio = |e: Evaluation| e.count.max(1) as f64 / target as f64;
+    let error = |e: Evaluation| ratio(e).ln().abs();
+    let (mut fine, mut coarse): (Option<Evaluation>, Option<Evaluation>) = (None, None);
+    let mut best = fewest;
+    let mut spacing = (area / target as f64).sqrt();
+    for _ in 1..EVALUATIONS_MAX {
+        let now = evaluate(spacing);
+        if error(now) < error(best) {
+            best = now;
+        }
+        if (ratio(now) - 1.0).abs() <= TOLERANCE {
+            break;
+        }
+        *(if ratio(now) > 1.0 { &mut fine } else { &mut coarse }) = Some(now);
+        spacing = match (fine, coarse) {
+            (Some(f), Some(c)) => {
+                let (above, below) = (ratio(f).ln(), -ratio(c).ln());
+                let t = (above / (above + below)).clamp(0.1, 0.9);
+                f.spacing * (c.spacing / f.spacing).powf(t)
+            }
+            _ => now.spacing * ratio(now).sqrt(),
+        };
+    }
+    best
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn smooth_counts_are_met_within_two_percent() {
+        for (base, needles) in [(0.0, 0.0), (5e4, 0.0), (1e3, 3e5), (9e4, 1e6)] {
+            for target in [100_000u64, 1_000_000, 100_000_000] {
+                // Some triangles that never split, some split along one edge, the rest along two.
+                let count = |h: f64| (base + needles * (1.0 + 0.01 / h) + 7.0 / (h * h)) as u64;
+                if target <= count(f64::INFINITY) {
+                    continue;
+                }
+                let found = find_spacing(target, 10.0, count);
+                assert!((found.count as f64 / target as f64 - 1.0).abs() <= 0.02, "{found:?}");
+                assert_eq!(found.count, count(found.spacing));
+            }
+        }
+    }
+
+    #[test]
+    fn targets_below_the_fewest_give_the_fewest() {
+        let found = find_spacing(10, 1.0, |h| 12 + (1.0 / (h * h)) as u64);
+        assert_eq!(found, Evaluation { spacing: f64::INFINITY, count: 12 });
+        assert_eq!(find_spacing(10, 0.0, |_| 0).count, 0);
+    }
+
+    #[test]
+    fn jumps_end_the_search_at_the_nearest_count() {
+        let found = find_spacing(100, 1.0, |h| if h < 0.1 { 120 } else { 72 });
+        assert_eq!(found.count, 120);
+    }
+}

@@ -1,0 +1,123 @@
+//! What the material of a mesh gives to a micropolygon.
+
+use super::lattice::{Cell, Lattice};
+use crate::{Material, Mesh, Scene, Texture};
+use pbgi_math::{DVec3, Vec2};
+
+/// Most alpha samples along an edge of a micropolygon.
+const ALPHA_GRID_MAX: u32 = 4;
+
+/// A mesh with its material, ready to be evaluated.
+#[derive(Clone, Copy)]
+pub(super) struct Surface<'a> {
+    mesh: &'a Mesh,
+    pub material: &'a Material,
+    base_color: Option<&'a Texture>,
+    emission: Option<&'a Texture>,
+}
+
+/// One triangle of a [`Surface`].
+pub(super) struct TriangleSurface<'a> {
+    surface: Surface<'a>,
+    uvs: [Vec2; 3],
+    colors: [[f32; 3]; 3],
+    /// Area in texture coordinates over area in space.
+    uv_density: f64,
+}
+
+/// Diffuse albedo and emitted radiance of a micropolygon.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Shade {
+    pub albedo: [f32; 3],
+    pub emission: [f32; 3],
+}
+
+impl<'a> Surface<'a> {
+    /// The mesh and its material; both are known to be consistent with the scene.
+    pub fn new(scene: &'a Scene, mesh: &'a Mesh, material: &'a Material) -> Self {
+        let has_uvs = mesh.uvs.len() == mesh.positions.len();
+        let texture = |index: Option<u32>| {
+            index.filter(|_| has_uvs).and_then(|i| scene.textures.get(i as usize))
+        };
+        Self {
+            mesh,
+            material,
+            base_color: texture(material.base_color_texture),
+            emission: texture(material.emission_texture),
+        }
+    }
+
+    /// Whether every micropolygon of a triangle looks the same.
+    pub fn is_uniform(&self) -> bool {
+        self.base_color.is_none() && self.emission.is_none() && self.mesh.colors.is_empty()
+    }
+
+    /// Whether parts of the surface may be holes.
+    pub fn is_masked(&self) -> bool {
+        self.material.alpha_cutoff.is_some()
+    }
+
+    /// Triangle `index` of the mesh, whose area in space is `area`.
+    pub fn triangle(&self, index: usize, area: f64) -> TriangleSurface<'a> {
+        let corners = self.mesh.triangles[index];
+        let uvs = corners.map(|v| self.mesh.uvs.get(v as usize).copied().unwrap_or(Vec2::ZERO));
+        let colors = corners.map(|v| self.mesh.colors.get(v as usize).copied().unwrap_or([1.0; 3]));
+        let (a, b) = (uvs[1] - uvs[0], uvs[2] - uvs[0]);
+        let uv_area = 0.5 * f64::from(a.perp_dot(b)).abs();
+        TriangleSurface { surface: *self, uvs, colors, uv_density: uv_area / area }
+    }
+}
+
+impl TriangleSurface<'_> {
+    /// Albedo and emission of `cell`, textures filtered over its size.
+    pub fn shade(&self, cell: &Cell) -> Shade {
+        let material = self.surface.material;
+        let uv = self.uv(cell.barycentric);
+        let lookup = |texture: Option<&Texture>| {
+            texture.map_or([1.0; 4], |t| t.sample_level(uv, self.texel_footprint(t, cell)))
+        };
+        let (texel, glow) = (lookup(self.surface.base_color), lookup(self.surface.emission));
+        let color = self.color(cell.barycentric);
+        let diffuse = 1.0 - material.metallic.clamp(0.0, 1.0);
+        Shade {
+            albedo: std::array::from_fn(|c| {
+                (material.base_color[c] * texel[c] * color[c] * diffuse).clamp(0.0, 1.0)
+            }),
+            emission: std::array::from_fn(|c| (material.emission[c] * glow[c]).max(0.0)),
+        }
+    }
+
+    /// Share of `cell` that is not a hole, from up to 4 × 4 samples of the alpha.
+    pub fn opaque_fraction(&self, lattice: &Lattice, cell: &Cell) -> f64 {
+        let Some(cutoff) = self.surface.material.alpha_cutoff else { return 1.0 };
+        let Some(texture) = self.surface.base_color else {
+            return f64::from(u8::from(cutoff <= 1.0));
+        };
+        // Two samples per texel see every edge that bilinear lookup can show.
+        let grid = 2.0 * self.texel_footprint(texture, cell);
+        let grid = (grid.ceil() as u32).clamp(1, ALPHA_GRID_MAX);
+        let (mut opaque, mut total) = (0u32, 0u32);
+        lattice.visit_grid(cell, grid, |barycentric| {
+            total += 1;
+            opaque += u32::from(texture.sample_alpha(self.uv(barycentric)) >= cutoff);
+        });
+        f64::from(opaque) / f64::from(total)
+    }
+
+    fn uv(&self, barycentric: DVec3) -> Vec2 {
+        let b = barycentric.as_vec3();
+        self.uvs[0] * b.x + self.uvs[1] * b.y + self.uvs[2] * b.z
+    }
+
+    fn color(&self, barycentric: DVec3) -> [f32; 3] {
+        let b = barycentric.as_vec3();
+        let [p, q, r] = self.colors;
+        std::array::from_fn(|c| p[c] * b.x + q[c] * b.y + r[c] * b.z)
+    }
+
+    /// Edge, in texels, of a square as large as `cell` in the texture.
+    fn texel_footprint(&self, texture: &Texture, cell: &Cell) -> f32 {
+        let texels = f64::from(texture.width()) * f64::from(texture.height());
+        (self.uv_density * cell.area * texels).sqrt() as f32
+    }
+}
