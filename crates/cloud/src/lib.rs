@@ -4,6 +4,9 @@
 #![forbid(unsafe_code)]
 
 mod atomic_file;
+mod concat;
+mod las;
+mod open;
 mod ply;
 mod ply_points;
 mod ply_writer;
@@ -14,6 +17,9 @@ mod source;
 mod surfel;
 
 pub use atomic_file::AtomicFile;
+pub use concat::ConcatSource;
+pub use las::LasPoints;
+pub use open::open_cloud;
 pub use ply::{PlyElement, PlyFormat, PlyHeader, PlyKind, PlyProperty, PlyReader, PlyRow, PlyType};
 pub use ply_points::PlyPoints;
 pub use ply_writer::PlyWriter;

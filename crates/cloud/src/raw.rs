@@ -174,7 +174,8 @@ impl<R: Read + Send> SurfelSource for RawSource<R> {
             let surfel = record_from_le_bytes(bytes, self.kind, &self.options)
                 .and_then(|record| record.to_surfel(self.options.disk_overlap));
             match surfel {
-                Ok(surfel) => out.push(surfel),
+                // The code itself, so that copying a stream changes no bit.
+                Ok(surfel) => out.push(Surfel { normal_code: normal_code_at(bytes), ..surfel }),
                 Err(defect) => {
                     let place = || format!("record {}", self.next);
                     defect.apply(self.options.invalid, &mut self.skipped, &self.path, place)?;
@@ -312,6 +313,10 @@ fn array_at<const N: usize>(bytes: &[u8], at: usize) -> [u8; N] {
     std::array::from_fn(|i| bytes[at + i])
 }
 
+fn normal_code_at(record: &[u8]) -> u32 {
+    u32::from_le_bytes(array_at(record, 20))
+}
+
 fn record_from_le_bytes(
     bytes: &[u8],
     kind: RawKind,
@@ -327,12 +332,11 @@ fn record_from_le_bytes(
     if !SurfelFlags::ISOTROPIC.with(SurfelFlags::FRONT_ONLY).contains(flags) {
         return Err(Defect::Flags);
     }
-    let normal_code = u32::from_le_bytes(array_at(bytes, 20));
     Ok(Record {
         position: Vec3::from_array([0, 4, 8].map(f32_at)),
         normal: match flags.contains(SurfelFlags::ISOTROPIC) {
             true => Vec3::ZERO,
-            false => pbgi_math::decode_octahedral(normal_code),
+            false => pbgi_math::decode_octahedral(normal_code_at(bytes)),
         },
         radius: f32_at(12),
         area: f32_at(16),

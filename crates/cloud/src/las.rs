@@ -1,0 +1,548 @@
+//! LiDAR clouds in LAS and LAZ files.
+//!
+//! The `las` and `laz` crates decode headers and points. They believe the header, so
+//! [`check_header`] compares every size with the length of the file first, and [`GuardedFile`]
+//! hides the extended records, which nothing here needs and which would be read whole.
+
+use crate::record::{Defect, Record, srgb_to_linear};
+use crate::source::CHUNK_SURFELS;
+use crate::{CloudError, CloudOptions, InvalidPolicy, Surfel, SurfelSource};
+use las::{Header, PointData};
+use laz::LasZipDecompressor;
+use pbgi_math::{DVec3, Vec3};
+use std::fs::File;
+use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+
+/// Points that tell how a file encodes color and intensity.
+const PROBE_POINTS: u64 = 65_536;
+/// Bytes of the longest public header, that of LAS 1.4.
+const HEADER_BYTES_MAX: usize = 375;
+/// Largest distance from the file's start to its points.
+const POINTS_OFFSET_MAX: u64 = 64 << 20;
+/// Albedo of the brightest percentile where only intensity is known.
+const INTENSITY_ALBEDO: f32 = 0.9;
+
+/// Points of a LAS or LAZ file as surfels without normal (isotropic) and without size (radius and
+/// area 0): both are to be estimated from the neighborhood. Z is up.
+///
+/// The origin is the center of the header's box, rounded to whole units. Albedo comes from RGB,
+/// read as sRGB; 16 bits per channel, or 8 where the first 65,536 points nowhere exceed 255.
+/// Without RGB it is gray and proportional to intensity, 0.9 at the 99th percentile of those
+/// points; without intensity it is [`CloudOptions::default_albedo`]. Points of
+/// [`CloudOptions::skip_classes`] are left out.
+///
+/// Headers often lie about the box, so [`SurfelSource::bounds`] is unknown.
+pub struct LasPoints {
+    decoder: Decoder,
+    path: PathBuf,
+    options: CloudOptions,
+    origin: DVec3,
+    point_count: u64,
+    /// Points decoded so far.
+    next: u64,
+    skipped: u64,
+    left_out: u64,
+    color: Color,
+    points: PointData,
+}
+
+/// Gives the bytes of points in file order.
+enum Decoder {
+    Plain(BufReader<GuardedFile>),
+    Compressed(Box<LasZipDecompressor<'static, BufReader<GuardedFile>>>),
+}
+
+/// How albedo is found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Color {
+    /// sRGB-encoded, this value being white.
+    Rgb { white: f32 },
+    /// Proportional to intensity.
+    Intensity { albedo_per_unit: f32 },
+    /// Nothing is known.
+    Default,
+}
+
+impl LasPoints {
+    /// Opens the file, checks its header against its length, and looks at its first points.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be read or is no valid LAS or LAZ file.
+    pub fn open(path: &Path, options: &CloudOptions) -> Result<Self, CloudError> {
+        let mut points = Self::open_start(path, options)?;
+        points.color = points.probe_color()?;
+        if points.next > 0 {
+            let color = points.color;
+            points = Self::open_start(path, options)?;
+            points.color = color;
+        }
+        Ok(points)
+    }
+
+    fn open_start(path: &Path, options: &CloudOptions) -> Result<Self, CloudError> {
+        let mut reader = BufReader::with_capacity(1 << 18, GuardedFile::open(path)?);
+        let header = guard(path, "header", || Header::new(&mut reader))?;
+        let decoder = match header.point_format().is_compressed {
+            false => Decoder::Plain(reader),
+            true => Decoder::Compressed(Box::new(open_compressed(reader, &header, path)?)),
+        };
+        Ok(Self {
+            decoder,
+            path: path.to_owned(),
+            options: options.clone(),
+            origin: origin_of(&header),
+            point_count: header.number_of_points(),
+            next: 0,
+            skipped: 0,
+            left_out: 0,
+            color: Color::Default,
+            points: las::PointDataBuilder::new().for_header(&header).build(),
+        })
+    }
+
+    /// Points left out so far because of their class.
+    #[must_use]
+    pub fn left_out(&self) -> u64 {
+        self.left_out
+    }
+
+    /// Decodes the next points into `self.points`, at most `count`; returns their number.
+    fn decode(&mut self, count: u64) -> Result<u64, CloudError> {
+        let count = count.min(self.point_count - self.next);
+        let place = format!("point {} of {}", self.next, self.point_count);
+        let (decoder, bytes) = (&mut self.decoder, self.points.resize_for(count as usize));
+        guard(&self.path, &place, || match decoder {
+            Decoder::Plain(reader) => reader.read_exact(bytes),
+            Decoder::Compressed(decompressor) => decompressor.decompress_many(bytes),
+        })?;
+        self.next += count;
+        Ok(count)
+    }
+
+    /// Finds out how the file encodes color from its first points.
+    fn probe_color(&mut self) -> Result<Color, CloudError> {
+        let (mut brightest, mut intensities) = (0, Vec::new());
+        while self.next < PROBE_POINTS && self.decode(CHUNK_SURFELS as u64)? > 0 {
+            if let Some(colors) = self.points.rgb() {
+                brightest = colors.fold(brightest, |m, (r, g, b)| m.max(r).max(g).max(b));
+            }
+            intensities.extend(self.points.intensity());
+        }
+        if brightest > 0 {
+            return Ok(Color::Rgb { white: if brightest > 255 { 65535.0 } else { 255.0 } });
+        }
+        let rank = intensities.len() * 99 / 100;
+        if rank == 0 {
+            return Ok(Color::Default);
+        }
+        let (_, percentile, _) = intensities.select_nth_unstable(rank);
+        Ok(match *percentile {
+            0 => Color::Default,
+            bright => Color::Intensity { albedo_per_unit: INTENSITY_ALBEDO / f32::from(bright) },
+        })
+    }
+
+    /// Appends the surfels of the decoded points, the first of which is point `first`.
+    fn push_points(&mut self, first: u64, out: &mut Vec<Surfel>) -> Result<(), CloudError> {
+        let points = &self.points;
+        let mut colors = points.rgb();
+        let places = points.x().zip(points.y()).zip(points.z());
+        let attributes = points.classification().zip(points.intensity());
+        for (index, (((x, y), z), (class, intensity))) in places.zip(attributes).enumerate() {
+            let rgb = colors.as_mut().and_then(Iterator::next);
+            if self.options.skip_classes.contains(&class) {
+                self.left_out += 1;
+                continue;
+            }
+            let albedo = match (self.color, rgb) {
+                (Color::Rgb { white }, Some((r, g, b))) => {
+                    [r, g, b].map(|c| srgb_to_linear((f32::from(c) / white).min(1.0)))
+                }
+                (Color::Intensity { albedo_per_unit }, _) => {
+                    [f32::from(intensity) * albedo_per_unit; 3]
+                }
+                _ => self.options.default_albedo,
+            };
+            let position = (DVec3::new(x, y, z) - self.origin).as_vec3();
+            let record = Record { position, normal: Vec3::ZERO, albedo, ..Record::default() };
+            match record.to_surfel(self.options.disk_overlap) {
+                Ok(surfel) => out.push(surfel),
+                Err(defect) => report(
+                    defect,
+                    self.options.invalid,
+                    &mut self.skipped,
+                    &self.path,
+                    first + index as u64,
+                )?,
+            }
+        }
+        Ok(())
+    }
+}
+
+fn report(
+    defect: Defect,
+    policy: InvalidPolicy,
+    skipped: &mut u64,
+    path: &Path,
+    point: u64,
+) -> Result<(), CloudError> {
+    defect.apply(policy, skipped, path, || format!("point {point}"))
+}
+
+impl SurfelSource for LasPoints {
+    fn origin(&self) -> DVec3 {
+        self.origin
+    }
+
+    fn skipped(&self) -> u64 {
+        self.skipped
+    }
+
+    fn read_chunk(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
+        let first = self.next;
+        if self.decode(CHUNK_SURFELS as u64)? > 0 {
+            self.push_points(first, out)?;
+        }
+        Ok(self.next < self.point_count)
+    }
+}
+
+/// Center of the header's box, or where that is not finite the offset of its coordinates, rounded.
+fn origin_of(header: &Header) -> DVec3 {
+    let (bounds, transforms) = (header.bounds(), header.transforms());
+    let center = DVec3::new(
+        (bounds.min.x + bounds.max.x) * 0.5,
+        (bounds.min.y + bounds.max.y) * 0.5,
+        (bounds.min.z + bounds.max.z) * 0.5,
+    );
+    let offset = DVec3::new(transforms.x.offset, transforms.y.offset, transforms.z.offset);
+    [center, offset].into_iter().find(|o| o.is_finite()).unwrap_or_default().round()
+}
+
+/// Starts decompressing at the points of a LAZ file.
+fn open_compressed(
+    mut reader: BufReader<GuardedFile>,
+    header: &Header,
+    path: &Path,
+) -> Result<LasZipDecompressor<'static, BufReader<GuardedFile>>, CloudError> {
+    let vlr = guard(path, "header", || header.laz_vlr())?;
+    let point_bytes = u64::from(header.point_format().len());
+    if vlr.items_size() != point_bytes {
+        return Err(CloudError::malformed(
+            path,
+            format!(
+                "compressed points are {} bytes, expected {point_bytes} by the header",
+                vlr.items_size()
+            ),
+        ));
+    }
+    // Compressor 1 writes a single chunk and no table.
+    let record = header.vlrs().iter().find(|vlr| las::laz::is_laszip_vlr(vlr));
+    if record.is_some_and(|vlr| !vlr.data.starts_with(&[1, 0])) {
+        check_chunk_table(&mut reader)
+            .map_err(|e| CloudError::io(path, "read", e))?
+            .map_err(|message| CloudError::malformed(path, message))?;
+    }
+    guard(path, "header", || LasZipDecompressor::new(reader, vlr))
+}
+
+/// Runs a decoder step; its errors, and its panics on damaged data, become errors of ours.
+fn guard<T, E: std::fmt::Display>(
+    path: &Path,
+    place: &str,
+    step: impl FnOnce() -> Result<T, E>,
+) -> Result<T, CloudError> {
+    // Unwind safe: after an error the source is not read on.
+    match catch_unwind(AssertUnwindSafe(step)) {
+        Ok(Ok(value)) => Ok(value),
+        Ok(Err(error)) => Err(CloudError::malformed(
+            path,
+            format!("{place}: {error}; the file is damaged or cut short"),
+        )),
+        Err(_) => Err(CloudError::malformed(
+            path,
+            format!("{place}: the compressed data make no sense; the file is damaged"),
+        )),
+    }
+}
+
+/// A LAS file whose header was checked and claims no extended records.
+struct GuardedFile {
+    file: File,
+    header: Vec<u8>,
+    position: u64,
+}
+
+impl GuardedFile {
+    fn open(path: &Path) -> Result<Self, CloudError> {
+        let io = |e| CloudError::io(path, "read", e);
+        let mut file = File::open(path).map_err(|e| CloudError::io(path, "open", e))?;
+        let length = file.seek(SeekFrom::End(0)).map_err(io)?;
+        file.seek(SeekFrom::Start(0)).map_err(io)?;
+        let mut header = Vec::with_capacity(HEADER_BYTES_MAX);
+        file.by_ref().take(HEADER_BYTES_MAX as u64).read_to_end(&mut header).map_err(io)?;
+        check_header(&header, length).map_err(|message| CloudError::malformed(path, message))?;
+        hide_extended_records(&mut header);
+        file.seek(SeekFrom::Start(0)).map_err(io)?;
+        Ok(Self { file, header, position: 0 })
+    }
+}
+
+impl Read for GuardedFile {
+    fn read(&mut self, out: &mut [u8]) -> std::io::Result<usize> {
+        let read = match usize::try_from(self.position) {
+            Ok(at) if at < self.header.len() => {
+                let n = out.len().min(self.header.len() - at);
+                out[..n].copy_from_slice(&self.header[at..at + n]);
+                self.file.seek_relative(n as i64)?;
+                n
+            }
+            _ => self.file.read(out)?,
+        };
+        self.position += read as u64;
+        Ok(read)
+    }
+}
+
+impl Seek for GuardedFile {
+    fn seek(&mut self, to: SeekFrom) -> std::io::Result<u64> {
+        self.position = self.file.seek(to)?;
+        Ok(self.position)
+    }
+}
+
+/// Compares the sizes a LAS header claims with the `length` of its file. Offsets are those of the
+/// LAS 1.4 specification, section 2.4.
+fn check_header(header: &[u8], length: u64) -> Result<(), String> {
+    if header.len() < 227 || &header[..4] != b"LASF" {
+        return Err("not a LAS file: expected `LASF` and a header of 227 bytes at its start".into());
+    }
+    let u16_at = |at: usize| u64::from(u16::from_le_bytes(array_at(header, at)));
+    let u32_at = |at: usize| u64::from(u32::from_le_bytes(array_at(header, at)));
+    let (major, minor) = (header[24], header[25]);
+    if major != 1 || minor > 4 {
+        return Err(format!("version {major}.{minor}, expected 1.0 to 1.4"));
+    }
+    let header_size_min = match minor {
+        0..=2 => 227,
+        3 => 235,
+        _ => 375,
+    };
+    let (header_size, offset) = (u16_at(94), u32_at(96));
+    if header_size < header_size_min || (header.len() as u64) < header_size_min {
+        return Err(format!("header of {header_size} bytes, expected {header_size_min}"));
+    }
+    if offset < header_size || offset > length.min(POINTS_OFFSET_MAX) {
+        return Err(format!("points at byte {offset} of {length}; the file is damaged"));
+    }
+    let records = u32_at(100);
+    if records.saturating_mul(54) > offset {
+        return Err(format!("{records} records before the points at byte {offset}"));
+    }
+    let is_compressed = header[104] & 0xc0 != 0;
+    let mut count = u32_at(107);
+    if minor >= 4 && count == 0 {
+        count = u64::from_le_bytes(array_at(header, 247));
+    }
+    // Even the best compression leaves a bit per 8 points in each chunk.
+    let fits = match is_compressed {
+        false => count.checked_mul(u16_at(105)).is_some_and(|b| b <= length - offset),
+        true => count / 64 <= length,
+    };
+    if !fits {
+        return Err(format!(
+            "{count} points do not fit into {length} bytes; the file is cut short or its header \
+             is damaged"
+        ));
+    }
+    Ok(())
+}
+
+/// Refuses a LAZ chunk table with more chunks than the file has room for. `reader` stands at the
+/// first compressed byte, and stands there again afterwards.
+fn check_chunk_table(reader: &mut (impl Read + Seek)) -> std::io::Result<Result<(), String>> {
+    let offset = reader.stream_position()?;
+    let length = reader.seek(SeekFrom::End(0))?;
+    let mut read_at = |at: u64| -> std::io::Result<Option<[u8; 8]>> {
+        let mut bytes = [0u8; 8];
+        if at > length.saturating_sub(8) {
+            return Ok(None);
+        }
+        reader.seek(SeekFrom::Start(at))?;
+        reader.read_exact(&mut bytes)?;
+        Ok(Some(bytes))
+    };
+    let Some(first) = read_at(offset)? else {
+        return Ok(Err("the file ends before its compressed points".into()));
+    };
+    let mut table = i64::from_le_bytes(first);
+    if table <= offset as i64 {
+        // Streamed files keep the place at their end.
+        table = read_at(length - 8)?.map_or(0, i64::from_le_bytes);
+    }
+    let Some(start) = u64::try_from(table).ok().filter(|&t| t > offset) else {
+        return Ok(Err("the table of compressed chunks is missing; the file is cut short".into()));
+    };
+    let Some(head) = read_at(start)? else {
+        return Ok(Err(format!("chunk table at byte {start} of {length}; the file is cut short")));
+    };
+    let chunks = u32::from_le_bytes(array_at(&head, 4));
+    if u64::from(chunks) > length / 8 {
+        return Ok(Err(format!("{chunks} compressed chunks in a file of {length} bytes")));
+    }
+    reader.seek(SeekFrom::Start(offset))?;
+    Ok(Ok(()))
+}
+
+/// Sets the place of waveforms and extended records to none.
+fn hide_extended_records(header: &mut [u8]) {
+    let end = match header[25] {
+        0..=2 => return,
+        3 => 235,
+        _ => 247,
+    };
+    header[227..end].fill(0);
+}
+
+fn array_at<const N: usize>(bytes: &[u8], at: usize) -> [u8; N] {
+    std::array::from_fn(|i| bytes[at + i])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use las::point::Format;
+    use las::{Builder, Point, Writer};
+
+    fn points(count: u32, colors: u16) -> Vec<Point> {
+        (0..count)
+            .map(|i| Point {
+                x: 637_380.0 + f64::from(i) * 0.25,
+                y: 851_950.0 - f64::from(i) * 0.5,
+                z: 400.0 + f64::from(i % 7),
+                intensity: i as u16,
+                classification: las::point::Classification::new((i % 8) as u8).unwrap(),
+                color: (colors > 0).then(|| las::Color::new(colors, 0, colors / 2)),
+                ..Default::default()
+            })
+            .collect()
+    }
+
+    fn file_of(points: &[Point], format: u8, version: (u8, u8), compress: bool) -> Vec<u8> {
+        let mut builder = Builder::from(version);
+        builder.point_format = Format::new(format).unwrap();
+        builder.point_format.is_compressed = compress;
+        for axis in
+            [&mut builder.transforms.x, &mut builder.transforms.y, &mut builder.transforms.z]
+        {
+            *axis = las::Transform { scale: 0.01, offset: 637_000.0 };
+        }
+        let cursor = std::io::Cursor::new(Vec::new());
+        let mut writer = Writer::new(cursor, builder.into_header().unwrap()).unwrap();
+        for point in points {
+            let gps_time = Format::new(format).unwrap().has_gps_time.then_some(1.5);
+            writer.write_point(Point { gps_time, ..point.clone() }).unwrap();
+        }
+        writer.close().unwrap();
+        writer.into_inner().unwrap().into_inner()
+    }
+
+    fn read(bytes: &[u8]) -> Result<(DVec3, Vec<Surfel>), CloudError> {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), bytes).unwrap();
+        let mut source = LasPoints::open(file.path(), &CloudOptions::default())?;
+        let mut out = Vec::new();
+        while source.read_chunk(&mut out)? {}
+        assert_eq!(source.left_out() + source.skipped() + out.len() as u64, source.point_count);
+        Ok((source.origin(), out))
+    }
+
+    #[test]
+    fn las_and_laz_give_the_same_surfels() {
+        let points = points(1000, 0xff00);
+        let (origin, plain) = read(&file_of(&points, 2, (1, 2), false)).unwrap();
+        assert!(read(&file_of(&points, 2, (1, 2), true)).unwrap() == (origin, plain.clone()));
+        assert!(read(&file_of(&points, 7, (1, 4), false)).unwrap() == (origin, plain.clone()));
+        assert!(read(&file_of(&points, 7, (1, 4), true)).unwrap() == (origin, plain.clone()));
+        // Class 7 is noise.
+        let kept: Vec<_> = (0..1000).filter(|i| i % 8 != 7).map(|i| &points[i]).collect();
+        assert_eq!(plain.len(), kept.len());
+        for (surfel, point) in plain.iter().zip(kept) {
+            let world = surfel.center().as_dvec3() + origin;
+            assert!((world - DVec3::new(point.x, point.y, point.z)).length() < 0.02);
+            assert!(surfel.is_isotropic() && surfel.radius == 0.0 && surfel.area == 0.0);
+            assert!((surfel.albedo_rgb()[0] - 0.99).abs() < 0.01);
+        }
+    }
+
+    #[test]
+    fn eight_bit_colors_are_recognized() {
+        let (_, surfels) = read(&file_of(&points(100, 255), 2, (1, 2), false)).unwrap();
+        assert_eq!(surfels[0].albedo_rgb()[0], 1.0);
+    }
+
+    #[test]
+    fn intensity_stands_in_for_color() {
+        let (_, surfels) = read(&file_of(&points(1001, 0), 0, (1, 2), false)).unwrap();
+        let last = surfels.last().unwrap().albedo_rgb();
+        assert!((last[0] - 0.9).abs() < 0.02 && last[0] == last[2], "{last:?}");
+    }
+
+    #[test]
+    fn files_cut_anywhere_are_refused() {
+        for compress in [false, true] {
+            let bytes = file_of(&points(50, 0xff00), 2, (1, 2), compress);
+            for length in 0..bytes.len() {
+                assert!(read(&bytes[..length]).is_err(), "{compress} {length}");
+            }
+        }
+    }
+
+    #[test]
+    fn damaged_bytes_never_panic() {
+        for (format, version) in [(2, (1, 2)), (7, (1, 4))] {
+            for compress in [false, true] {
+                let bytes = file_of(&points(300, 0xff00), format, version, compress);
+                for at in 0..bytes.len().min(1500) {
+                    let mut damaged = bytes.clone();
+                    damaged[at] ^= 0xff;
+                    // Either an error or other surfels; counts are checked by `read`.
+                    let _ = read(&damaged);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn autzen_stadium_is_read_whole() {
+        let path = Path::new(concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/../../../shared/data/autzen_stadium.laz"
+        ));
+        if !path.exists() {
+            println!("skipped: autzen_stadium.laz is not here");
+            return;
+        }
+        let start = std::time::Instant::now();
+        let mut source = LasPoints::open(path, &CloudOptions::default()).unwrap();
+        let (mut chunk, mut count, mut bounds) = (Vec::new(), 0, pbgi_math::Aabb::EMPTY);
+        loop {
+            chunk.clear();
+            let more = source.read_chunk(&mut chunk).unwrap();
+            count += chunk.len() as u64;
+            bounds = chunk.iter().fold(bounds, |b, s| b.with_point(s.center()));
+            if !more {
+                break;
+            }
+        }
+        println!("{count} points in {:?}, origin {}", start.elapsed(), source.origin());
+        assert_eq!(count + source.left_out(), 2_163_989);
+        let extent = bounds.extent();
+        assert!((extent.x - 1800.0).abs() < 2.0 && (extent.y - 1800.0).abs() < 2.0);
+        assert!(bounds.center().truncate().length() < 2.0);
+    }
+}
