@@ -1,1 +1,11 @@
-//! Under construction.
+//! Picks the nodes of the octree that light a receiver: the cut.
+//!
+//! Walks the tree nearest first and tells a visitor what it takes. It asks a threshold how fine to go and must never know
+//! what a raster, a BRDF or an image is.
+#![forbid(unsafe_code)]
+
+mod metric;
+mod pick;
+
+pub use metric::{Cluster, Threshold, UniformThreshold};
+pub use pick::{CutReceiver, CutScratch, CutStats, CutVisitor, SurfelSeen, pick_cut};

@@ -166,8 +166,9 @@ impl<'a> GroupView<'a> {
             return Err(FormatError::new("group: offset", offset, "a place inside its page"));
         }
         let child_count = page[offset + 40].count_ones() as usize;
-        let bytes = group_bytes(child_count, usize::from(page[offset + 42]), channels);
-        if child_count == 0 || offset + bytes > groups_end {
+        let lobe_count = usize::from(page[offset + 42]);
+        let bytes = group_bytes(child_count, lobe_count, channels);
+        if child_count == 0 || lobe_count < child_count || offset + bytes > groups_end {
             return Err(FormatError::new(
                 "group: children",
                 child_count,
@@ -224,14 +225,18 @@ impl<'a> GroupView<'a> {
         }
     }
 
-    /// Stored corners of all children: `[min x, min y, min z, max x, max y, max z]`, each with
-    /// [`GroupView::child_count`] bytes.
+    /// Stored corners of all children: `[min x, min y, min z, max x, max y, max z]`, each with a
+    /// byte per child; bytes from [`GroupView::child_count`] on mean nothing.
     #[must_use]
     #[inline(always)]
-    pub fn corners(&self) -> [&'a [u8]; 6] {
+    pub fn corners(&self) -> [[u8; CHILDREN_MAX]; 6] {
         let n = self.child_count;
         let start = GROUP_FIXED_BYTES + 4 * n;
-        std::array::from_fn(|i| &self.bytes[start + i * n..start + (i + 1) * n])
+        // Eight bytes are always there: each child has a lobe of at least eight bytes further on.
+        std::array::from_fn(|i| {
+            let at = start + i * n;
+            self.bytes[at..at + CHILDREN_MAX].try_into().expect("eight bytes")
+        })
     }
 
     /// Decoded box of child `index`.

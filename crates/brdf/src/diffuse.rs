@@ -1,0 +1,245 @@
+//! Lambertian irradiance, ambient occlusion, sky visibility and bent normal.
+
+use pbgi_math::{CubeFace, Vec3};
+use pbgi_raster::{CubeRaster, CubeRasterTable, LANES};
+use std::f32::consts::PI;
+
+/// Distant light in the texels of a cube raster's memory layout; three channels.
+#[derive(Clone, Debug)]
+pub struct EnvironmentTexels {
+    channels: [Vec<f32>; 3],
+}
+
+impl EnvironmentTexels {
+    /// Mean radiance of each texel of `CubeMap::new(n)`, in its index order.
+    #[must_use]
+    pub fn new(table: &CubeRasterTable, texels: &[[f32; 3]]) -> Self {
+        let padded = table.pad(texels);
+        Self { channels: std::array::from_fn(|c| padded.iter().map(|t| t[c]).collect()) }
+    }
+}
+
+/// Texel integrals in the shape the convolution reads them.
+#[derive(Clone, Debug)]
+pub struct ConvolutionTable {
+    /// `∫ d dω` per texel.
+    vector: [Vec<f32>; 3],
+    /// How far `d` moves from a texel's middle to its border along u and along v, times the texel's
+    /// solid angle.
+    reach_u: [Vec<f32>; 3],
+    reach_v: [Vec<f32>; 3],
+    solid_angle_sr: Vec<f32>,
+}
+
+impl ConvolutionTable {
+    /// Table for the texels of `table`.
+    #[must_use]
+    pub fn new(table: &CubeRasterTable) -> Self {
+        let (n, stride) = (table.edge(), table.stride());
+        let plane = |value: &dyn Fn(usize) -> Vec3| -> [Vec<f32>; 3] {
+            std::array::from_fn(|axis| (0..6 * n * stride).map(|i| value(i)[axis]).collect())
+        };
+        let reach = |index: usize, along_u: bool| {
+            let (column, row, face) = (index % stride, index / stride % n, index / (stride * n));
+            let coordinate = |i: usize| -1.0 + (2 * i + 1) as f32 / n as f32;
+            let half = 1.0 / n as f32;
+            let at = |du: f32, dv: f32| {
+                let face = CubeFace(face as u8);
+                face.direction(coordinate(column) + du, coordinate(row) + dv).normalize()
+            };
+            let moved = if along_u {
+                at(half, 0.0) - at(-half, 0.0)
+            } else {
+                at(0.0, half) - at(0.0, -half)
+            };
+            moved * 0.5 * table.texels()[index].solid_angle_sr
+        };
+        Self {
+            vector: plane(&|i| table.texels()[i].vector),
+            reach_u: plane(&|i| reach(i, true)),
+            reach_v: plane(&|i| reach(i, false)),
+            solid_angle_sr: table.texels().iter().map(|t| t.solid_angle_sr).collect(),
+        }
+    }
+}
+
+/// What a diffuse receiver gathers.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Diffuse {
+    /// Irradiance from surfaces, W·m⁻².
+    pub surface_irradiance: [f32; 3],
+    /// Irradiance from the distant environment, W·m⁻².
+    pub environment_irradiance: [f32; 3],
+    /// Cosine-weighted share of the hemisphere that is open: 1 where nothing is near.
+    pub ambient_occlusion: f32,
+    /// Share of the sky's hemisphere (around `up`) that is open.
+    pub sky_visibility: f32,
+    /// Cosine-weighted mean open direction, unit length; the normal where all is closed.
+    pub bent_normal: Vec3,
+}
+
+/// Projected solid angle of a texel over the horizon.
+///
+/// `c` is `n·∫d dω`, exact where the texel is wholly above; `reach` how much `n·d` varies over it,
+/// times its solid angle. A texel the horizon crosses keeps the positive part of a cosine that is
+/// spread evenly over `c ± reach`: `(c + reach)²/(4 reach)`.
+#[inline(always)]
+fn clamped_weight(c: f32, reach: f32) -> f32 {
+    let partial = (c + reach) * (c + reach) / (4.0 * reach + 1e-30);
+    let above = if c >= reach { c } else { partial };
+    if c <= -reach { 0.0 } else { above }
+}
+
+/// Sums a raster over the hemisphere around `normal`: `E = Σ L (n·d) dω`, with the environment where
+/// texels are open. `up` is the direction of the sky.
+///
+/// With nothing in the raster a uniform environment of radiance `L` gives `πL` within 0.2 % at
+/// 8 × 8 texels per face (`tests::an_open_uniform_sky_gives_pi`).
+#[inline(always)]
+#[must_use]
+pub fn convolve_diffuse(
+    raster: &CubeRaster,
+    table: &ConvolutionTable,
+    environment: Option<&EnvironmentTexels>,
+    normal: Vec3,
+    up: Vec3,
+) -> Diffuse {
+    let texels = table.solid_angle_sr.len();
+    let mut surface = [[0.0f32; LANES]; 3];
+    let mut distant = [[0.0f32; LANES]; 3];
+    let mut bent = [[0.0f32; LANES]; 3];
+    let (mut open_sum, mut weight_sum) = ([0.0f32; LANES], [0.0f32; LANES]);
+    let (mut sky, mut sky_sum) = ([0.0f32; LANES], [0.0f32; LANES]);
+    for start in (0..texels).step_by(LANES) {
+        let lanes = |plane: &[f32]| -> [f32; LANES] {
+            plane[start..start + LANES].try_into().expect("rows are padded to lanes")
+        };
+        let dot = |planes: &[Vec<f32>; 3], n: Vec3| -> [f32; LANES] {
+            let (x, y, z) = (lanes(&planes[0]), lanes(&planes[1]), lanes(&planes[2]));
+            std::array::from_fn(|i| x[i] * n.x + y[i] * n.y + z[i] * n.z)
+        };
+        let cosine = dot(&table.vector, normal);
+        let (ru, rv) = (dot(&table.reach_u, normal), dot(&table.reach_v, normal));
+        let weight: [f32; LANES] =
+            std::array::from_fn(|i| clamped_weight(cosine[i], ru[i].abs() + rv[i].abs()));
+        let open: [f32; LANES] = std::array::from_fn(|i| raster.openness(start + i));
+        let height = dot(&table.vector, up);
+        let omega = lanes(&table.solid_angle_sr);
+        for i in 0..LANES {
+            open_sum[i] += open[i] * weight[i];
+            weight_sum[i] += weight[i];
+            // The sky seen over the receiver's own horizon, as far as texels resolve it.
+            let in_sky = if height[i] > 0.0 { omega[i] } else { 0.0 };
+            sky_sum[i] += in_sky;
+            sky[i] += if cosine[i] > 0.0 { in_sky * open[i] } else { 0.0 };
+        }
+        for axis in 0..3 {
+            let vector = lanes(&table.vector[axis]);
+            for i in 0..LANES {
+                // The texel's mean direction times its solid angle; weighted by its mean cosine.
+                bent[axis][i] += open[i] * vector[i] * weight[i] / (omega[i] + 1e-30);
+            }
+        }
+        if let Some(environment) = environment {
+            for (sum, plane) in distant.iter_mut().zip(&environment.channels) {
+                let light = lanes(plane);
+                for i in 0..LANES {
+                    sum[i] += light[i] * open[i] * weight[i];
+                }
+            }
+        }
+        if !raster.radiance()[0].is_empty() {
+            for (sum, plane) in surface.iter_mut().zip(raster.radiance()) {
+                let light = lanes(plane);
+                for i in 0..LANES {
+                    sum[i] += light[i] * weight[i];
+                }
+            }
+        }
+    }
+    let total = |lanes: &[f32; LANES]| lanes.iter().sum::<f32>();
+    // The quadrature's own error, the same for every receiver of this normal, cancels here.
+    let scale = PI / total(&weight_sum);
+    let bent = Vec3::from_array(bent.each_ref().map(total));
+    Diffuse {
+        surface_irradiance: surface.each_ref().map(|s| total(s) * scale),
+        environment_irradiance: distant.each_ref().map(|s| total(s) * scale),
+        ambient_occlusion: (total(&open_sum) * scale / PI).clamp(0.0, 1.0),
+        sky_visibility: (total(&sky) / total(&sky_sum)).clamp(0.0, 1.0),
+        bent_normal: if bent.length_squared() > 1e-12 { bent.normalize() } else { normal },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pbgi_raster::Splat;
+
+    fn normals() -> impl Iterator<Item = Vec3> {
+        (0..200u32).map(|i| {
+            let z = -1.0 + 2.0 * (i as f32 + 0.5) / 200.0;
+            let phi = i as f32 * 2.399_963;
+            let r = (1.0 - z * z).sqrt();
+            Vec3::new(r * phi.cos(), r * phi.sin(), z).normalize()
+        })
+    }
+
+    #[test]
+    fn quadrature_of_the_cosine_is_of_second_order() {
+        for n in [4usize, 8, 16] {
+            // Second order in the texel's size.
+            let tolerance = 0.15 / (n * n) as f32;
+            let table = CubeRasterTable::new(n);
+            let sums = ConvolutionTable::new(&table);
+            for normal in normals() {
+                let total: f32 = (0..table.texels().len())
+                    .map(|i| {
+                        let dot = |p: &[Vec<f32>; 3]| {
+                            p[0][i] * normal.x + p[1][i] * normal.y + p[2][i] * normal.z
+                        };
+                        let reach = dot(&sums.reach_u).abs() + dot(&sums.reach_v).abs();
+                        clamped_weight(dot(&sums.vector), reach)
+                    })
+                    .sum();
+                assert!((total / PI - 1.0).abs() < tolerance, "{n} {normal}: {}", total / PI);
+            }
+        }
+    }
+
+    #[test]
+    fn an_open_uniform_sky_gives_pi() {
+        let table = CubeRasterTable::new(8);
+        let sums = ConvolutionTable::new(&table);
+        let sky = EnvironmentTexels::new(&table, &vec![[2.0, 1.0, 0.5]; 384]);
+        let mut raster = CubeRaster::new(&table, true);
+        for normal in normals() {
+            raster.clear(normal);
+            let found = convolve_diffuse(&raster, &sums, Some(&sky), normal, normal);
+            assert!((found.environment_irradiance[0] / (2.0 * PI) - 1.0).abs() < 1e-4);
+            assert!((found.ambient_occlusion - 1.0).abs() < 1e-4);
+            assert!(found.bent_normal.dot(normal) > 0.9999, "{}", found.bent_normal.dot(normal));
+            assert!(found.sky_visibility > 0.93);
+        }
+    }
+
+    #[test]
+    fn a_sky_covered_by_half_gives_half() {
+        let table = CubeRasterTable::new(8);
+        let sums = ConvolutionTable::new(&table);
+        let sky = EnvironmentTexels::new(&table, &vec![[1.0; 3]; 384]);
+        let mut raster = CubeRaster::new(&table, true);
+        raster.clear(Vec3::Y);
+        // A wall over everything with x > 0, shining with radiance 3.
+        let wall = Splat { front_sr: 100.0, back_sr: 0.0, radiance: [3.0; 3] };
+        raster.draw_box(Vec3::new(0.0, 1.0, -50.0), Vec3::new(50.0, 1.0, 50.0), &wall);
+        raster.draw_box(Vec3::new(1.0, 0.0, -50.0), Vec3::new(1.0, 50.0, 50.0), &wall);
+        raster.draw_box(Vec3::new(0.0, 0.0, 1.0), Vec3::new(50.0, 50.0, 1.0), &wall);
+        raster.draw_box(Vec3::new(0.0, 0.0, -1.0), Vec3::new(50.0, 50.0, -1.0), &wall);
+        let found = convolve_diffuse(&raster, &sums, Some(&sky), Vec3::Y, Vec3::Y);
+        assert!((found.ambient_occlusion - 0.5).abs() < 0.01, "{found:?}");
+        assert!((found.environment_irradiance[0] - PI / 2.0).abs() < 0.03);
+        assert!((found.surface_irradiance[0] - 3.0 * PI / 2.0).abs() < 0.06);
+        assert!((found.sky_visibility - 0.5).abs() < 0.01);
+        assert!(found.bent_normal.x < -0.4);
+    }
+}

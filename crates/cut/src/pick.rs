@@ -1,0 +1,332 @@
+//! The walk: depth first, children front to back.
+
+use crate::metric::{Cluster, Threshold};
+use pbgi_format::{
+    CHILDREN_MAX, ChildLink, FormatError, GroupView, LeafSurfel, NodePage, PageId, SurfelLayout,
+    SurfelPage,
+};
+use pbgi_math::{Aabb, Vec3};
+use pbgi_store::{PageRef, Reader, StoreError};
+
+/// The place a cut is picked for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CutReceiver {
+    /// Position relative to the file's origin.
+    pub position: Vec3,
+    /// Unit normal.
+    pub normal: Vec3,
+    /// Nodes and surfels that rise no more than this above the receiver's tangent plane are below
+    /// its horizon; scene units.
+    pub bias: f32,
+    /// The same for single surfels, in units of their radius, on top of `bias`.
+    pub surfel_bias: f32,
+}
+
+/// A surfel of the cut, relative to the receiver.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfelSeen {
+    /// The surfel; its center is relative to the receiver.
+    pub surfel: LeafSurfel,
+    /// Squared distance of its center.
+    pub distance2: f32,
+}
+
+/// Receives a cut, nearest first.
+pub trait CutVisitor {
+    /// Whether anything in the box `low..=high` (relative to the receiver) could still be seen.
+    fn is_open(&self, low: Vec3, high: Vec3) -> bool;
+    /// Takes a node as one.
+    fn take_cluster(&mut self, cluster: &Cluster);
+    /// Takes a surfel.
+    fn take_surfel(&mut self, surfel: &SurfelSeen);
+}
+
+/// What picking cuts did; sums over receivers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CutStats {
+    /// Nodes whose bounds were tested.
+    pub nodes_visited: u64,
+    /// Nodes taken as one.
+    pub clusters: u64,
+    /// Surfels taken singly.
+    pub surfels: u64,
+    /// Nodes dropped because they are below the horizon.
+    pub culled_horizon: u64,
+    /// Nodes dropped because all they could touch was opaque.
+    pub culled_opaque: u64,
+}
+
+impl CutStats {
+    /// Entries of the cut.
+    #[must_use]
+    pub fn cut_size(&self) -> u64 {
+        self.clusters + self.surfels
+    }
+
+    /// Adds another's counts.
+    pub fn add(&mut self, other: &Self) {
+        self.nodes_visited += other.nodes_visited;
+        self.clusters += other.clusters;
+        self.surfels += other.surfels;
+        self.culled_horizon += other.culled_horizon;
+        self.culled_opaque += other.culled_opaque;
+    }
+}
+
+/// A group on the way from the root to where the walk is.
+struct Frame {
+    page: PageRef,
+    page_id: PageId,
+    offset: u32,
+    /// Octants with a child, and those whose child is a leaf.
+    octants: u8,
+    leaves: u8,
+    /// Children (bit = octant) below the horizon, and those too large to be taken as one.
+    below: u8,
+    large: u8,
+    /// Octant order is `step ^ flip`.
+    flip: u8,
+    step: u8,
+    cover_margin: f32,
+    bounds: Aabb,
+    low: [[f32; CHILDREN_MAX]; 3],
+    high: [[f32; CHILDREN_MAX]; 3],
+}
+
+/// Memory of a walk, reused from receiver to receiver.
+#[derive(Default)]
+pub struct CutScratch {
+    frames: Vec<Frame>,
+    order: Vec<(f32, u32)>,
+}
+
+/// Walks the octree from its root, octants front to back, and gives the visitor every node or surfel of the cut.
+///
+/// In order, for each node: wholly below the receiver's horizon, it is dropped; all it could touch opaque, it is dropped with everything
+/// below it, whose pages are never read; small enough for `threshold`, it is taken as one; a leaf
+/// gives its surfels, nearest first; else the walk descends. Seen from any point, an octant whose
+/// index differs from the receiver's own octant in fewer planes is never behind one that differs in
+/// those and more: visiting `step XOR own` in ascending `step` is front to back.
+///
+/// # Errors
+///
+/// If a page cannot be read or contradicts itself.
+#[inline(always)]
+pub fn pick_cut<V: CutVisitor, T: Threshold>(
+    reader: &mut Reader<'_>,
+    receiver: &CutReceiver,
+    threshold: &T,
+    visitor: &mut V,
+    scratch: &mut CutScratch,
+    stats: &mut CutStats,
+) -> Result<(), StoreError> {
+    let octree = reader.octree();
+    let header = octree.header();
+    let layout = octree.layout();
+    let CutScratch { frames, order } = scratch;
+    frames.clear();
+    let root = reader.pin_page(header.root_page)?;
+    let start = (root, header.root_page, header.root_offset);
+    frames.push(open_frame(reader, start, receiver, threshold, &layout, stats)?);
+    while let Some(frame) = frames.last_mut() {
+        if frame.step == CHILDREN_MAX as u8 {
+            frames.pop();
+            continue;
+        }
+        let octant = frame.step ^ frame.flip;
+        frame.step += 1;
+        let bit = 1u8 << octant;
+        if frame.octants & !frame.below & bit == 0 {
+            continue;
+        }
+        let index = (frame.octants & (bit - 1)).count_ones() as usize;
+        let low = Vec3::new(frame.low[0][index], frame.low[1][index], frame.low[2][index]);
+        let high = Vec3::new(frame.high[0][index], frame.high[1][index], frame.high[2][index]);
+        let large = frame.large & bit != 0;
+        let margin = if large { frame.cover_margin } else { 0.0 };
+        if !visitor.is_open(low - margin, high + margin) {
+            stats.culled_opaque += 1;
+            continue;
+        }
+        let invalid = |reader: &Reader<'_>, page, source| reader.invalid_page(page, source);
+        let view = match NodePage::new(frame.page.bytes()) {
+            Ok(view) => view,
+            Err(error) => return Err(invalid(reader, frame.page_id, error)),
+        };
+        let group = GroupView::new(view.bytes(), view.groups_end(), frame.offset, layout.channels);
+        let group = match group {
+            Ok(group) => group,
+            Err(error) => return Err(invalid(reader, frame.page_id, error)),
+        };
+        if !large {
+            let lobes = group.lobe_bytes(index, layout.channels);
+            visitor.take_cluster(&Cluster::from_lobes(low, high, lobes, &layout));
+            stats.clusters += 1;
+            continue;
+        }
+        let start = match group.link(index, frame.leaves & bit != 0) {
+            ChildLink::Leaf { first, count } => {
+                let page = view.fields().surfel_page;
+                let leaf = Leaf { page, first, count, bounds: frame.bounds, owner: frame.page_id };
+                take_leaf(reader, &leaf, receiver, visitor, order, &layout, stats)?;
+                continue;
+            }
+            ChildLink::Group(offset) => (frame.page.clone(), frame.page_id, offset),
+            ChildLink::External(link) => {
+                let Some(link) = view.external_link(link) else {
+                    let error = bad_link("link: index", link);
+                    return Err(invalid(reader, frame.page_id, error));
+                };
+                (reader.pin_page(link.page)?, link.page, link.offset)
+            }
+        };
+        if frames.len() >= header.depth as usize {
+            return Err(reader.invalid_page(start.1, bad_link("tree: depth", header.depth)));
+        }
+        frames.push(open_frame(reader, start, receiver, threshold, &layout, stats)?);
+    }
+    Ok(())
+}
+
+#[cold]
+fn bad_link(place: &'static str, found: u32) -> FormatError {
+    FormatError { place, found: found.to_string(), expected: "a link within the file".to_owned() }
+}
+
+/// Decodes a group's children and tests them all against horizon and threshold.
+#[inline(always)]
+fn open_frame<T: Threshold>(
+    reader: &Reader<'_>,
+    (page, page_id, offset): (PageRef, PageId, u32),
+    receiver: &CutReceiver,
+    threshold: &T,
+    layout: &SurfelLayout,
+    stats: &mut CutStats,
+) -> Result<Frame, StoreError> {
+    let view = match NodePage::new(page.bytes()) {
+        Ok(view) => view,
+        Err(error) => return Err(reader.invalid_page(page_id, error)),
+    };
+    let group = match GroupView::new(view.bytes(), view.groups_end(), offset, layout.channels) {
+        Ok(group) => group,
+        Err(error) => return Err(reader.invalid_page(page_id, error)),
+    };
+    let fields = group.fields();
+    let step = fields.bounds.extent() * (1.0 / 255.0);
+    let base = fields.bounds.min - receiver.position;
+    let corners = group.corners();
+    let mut low = [[0.0; CHILDREN_MAX]; 3];
+    let mut high = [[0.0; CHILDREN_MAX]; 3];
+    let mut distance2 = [0.0; CHILDREN_MAX];
+    let mut radius2 = [0.0; CHILDREN_MAX];
+    let mut top = [0.0; CHILDREN_MAX];
+    for axis in 0..3 {
+        let n = receiver.normal[axis];
+        for lane in 0..CHILDREN_MAX {
+            let a = base[axis] + step[axis] * f32::from(corners[axis][lane]);
+            let b = base[axis] + step[axis] * f32::from(corners[axis + 3][lane]);
+            low[axis][lane] = a;
+            high[axis][lane] = b;
+            let (center, half) = (0.5 * (a + b), 0.5 * (b - a));
+            distance2[lane] += center * center;
+            radius2[lane] += half * half;
+            top[lane] += n * center + n.abs() * half;
+        }
+    }
+    let (mut below, mut large) = (0u32, 0u32);
+    for lane in 0..CHILDREN_MAX {
+        let center = Vec3::new(
+            0.5 * (low[0][lane] + high[0][lane]),
+            0.5 * (low[1][lane] + high[1][lane]),
+            0.5 * (low[2][lane] + high[2][lane]),
+        );
+        let limit = threshold.sin2_max(center, distance2[lane], radius2[lane]) * distance2[lane];
+        below |= u32::from(top[lane] <= receiver.bias) << lane;
+        large |= u32::from(radius2[lane] > limit) << lane;
+    }
+    // From child order to octants.
+    let (mut below_octants, mut large_octants) = (0u8, 0u8);
+    let mut rest = fields.octants;
+    for index in 0..group.child_count() {
+        let bit = rest & rest.wrapping_neg();
+        rest &= rest - 1;
+        below_octants |= if below >> index & 1 != 0 { bit } else { 0 };
+        large_octants |= if large >> index & 1 != 0 { bit } else { 0 };
+    }
+    stats.nodes_visited += group.child_count() as u64;
+    stats.culled_horizon += u64::from(below_octants.count_ones());
+    let side = receiver.position.cmpgt(fields.split);
+    Ok(Frame {
+        page,
+        page_id,
+        offset,
+        octants: fields.octants,
+        leaves: fields.leaves,
+        below: below_octants,
+        large: large_octants,
+        flip: side.bitmask() as u8,
+        step: 0,
+        cover_margin: fields.cover_margin,
+        bounds: fields.bounds,
+        low,
+        high,
+    })
+}
+
+/// A leaf to be opened.
+struct Leaf {
+    page: Option<PageId>,
+    first: u32,
+    count: u32,
+    bounds: Aabb,
+    /// The page that links to it.
+    owner: PageId,
+}
+
+#[inline(always)]
+fn take_leaf<V: CutVisitor>(
+    reader: &mut Reader<'_>,
+    leaf: &Leaf,
+    receiver: &CutReceiver,
+    visitor: &mut V,
+    order: &mut Vec<(f32, u32)>,
+    layout: &SurfelLayout,
+    stats: &mut CutStats,
+) -> Result<(), StoreError> {
+    let Some(id) = leaf.page else {
+        return Err(reader.invalid_page(leaf.owner, bad_link("leaf: surfel page", u32::MAX)));
+    };
+    let page = reader.pin_page(id)?;
+    let stride = layout.stored_bytes();
+    let surfels = match SurfelPage::new(page.bytes(), stride) {
+        Ok(surfels) => surfels,
+        Err(error) => return Err(reader.invalid_page(id, error)),
+    };
+    let Some(bytes) = surfels.surfels(leaf.first, leaf.count) else {
+        return Err(reader.invalid_page(leaf.owner, bad_link("leaf: surfels", leaf.first)));
+    };
+    let decode = |index: usize| {
+        let mut surfel = layout.read(&bytes[index * stride..(index + 1) * stride], &leaf.bounds);
+        surfel.center -= receiver.position;
+        surfel
+    };
+    order.clear();
+    for index in 0..leaf.count as usize {
+        order.push((decode(index).center.length_squared(), index as u32));
+    }
+    // Ties by place in the file, so that the order is total.
+    order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    for &(distance2, index) in order.iter() {
+        let surfel = decode(index as usize);
+        // Highest point of the disk above the tangent plane: r sin(angle between the normals).
+        let tilt = surfel.normal.dot(receiver.normal);
+        let sine = if surfel.isotropic { 1.0 } else { (1.0 - tilt * tilt).max(0.0).sqrt() };
+        let top = surfel.center.dot(receiver.normal) + surfel.radius * sine;
+        if top <= receiver.bias + receiver.surfel_bias * surfel.radius || distance2 == 0.0 {
+            continue;
+        }
+        visitor.take_surfel(&SurfelSeen { surfel, distance2 });
+        stats.surfels += 1;
+    }
+    Ok(())
+}
