@@ -1,26 +1,15 @@
 //! LiDAR clouds in LAS and LAZ files.
-//!
-//! The `las` and `laz` crates decode headers and points. They believe the header, so
-//! [`check_header`] compares every size with the length of the file first, and [`GuardedFile`]
-//! hides the extended records, which nothing here needs and which would be read whole.
 
+use crate::las_decoder::LasDecoder;
 use crate::record::{Defect, Record, srgb_to_linear};
 use crate::source::CHUNK_SURFELS;
 use crate::{CloudError, CloudOptions, InvalidPolicy, Surfel, SurfelSource};
 use las::{Header, PointData};
-use laz::LasZipDecompressor;
 use pbgi_math::{DVec3, Vec3};
-use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
 /// Points that tell how a file encodes color and intensity.
 const PROBE_POINTS: u64 = 65_536;
-/// Bytes of the longest public header, that of LAS 1.4.
-const HEADER_BYTES_MAX: usize = 375;
-/// Largest distance from the file's start to its points.
-const POINTS_OFFSET_MAX: u64 = 64 << 20;
 /// Albedo of the brightest percentile where only intensity is known.
 const INTENSITY_ALBEDO: f32 = 0.9;
 
@@ -35,7 +24,7 @@ const INTENSITY_ALBEDO: f32 = 0.9;
 ///
 /// Headers often lie about the box, so [`SurfelSource::bounds`] is unknown.
 pub struct LasPoints {
-    decoder: Decoder,
+    decoder: LasDecoder,
     path: PathBuf,
     options: CloudOptions,
     origin: DVec3,
@@ -46,12 +35,6 @@ pub struct LasPoints {
     left_out: u64,
     color: Color,
     points: PointData,
-}
-
-/// Gives the bytes of points in file order.
-enum Decoder {
-    Plain(BufReader<GuardedFile>),
-    Compressed(Box<LasZipDecompressor<'static, BufReader<GuardedFile>>>),
 }
 
 /// How albedo is found.
@@ -83,12 +66,7 @@ impl LasPoints {
     }
 
     fn open_start(path: &Path, options: &CloudOptions) -> Result<Self, CloudError> {
-        let mut reader = BufReader::with_capacity(1 << 18, GuardedFile::open(path)?);
-        let header = guard(path, "header", || Header::new(&mut reader))?;
-        let decoder = match header.point_format().is_compressed {
-            false => Decoder::Plain(reader),
-            true => Decoder::Compressed(Box::new(open_compressed(reader, &header, path)?)),
-        };
+        let (decoder, header) = LasDecoder::open(path)?;
         Ok(Self {
             decoder,
             path: path.to_owned(),
@@ -112,11 +90,8 @@ impl LasPoints {
     /// Decodes the next points into `self.points`, at most `count`; returns their number.
     fn decode(&mut self, count: u64) -> Result<u64, CloudError> {
         let count = count.min(self.point_count - self.next);
-        let place = format!("point {} of {}", self.next, self.point_count);
-        let (decoder, bytes) = (&mut self.decoder, self.points.resize_for(count as usize));
-        guard(&self.path, &place, || match decoder {
-            Decoder::Plain(reader) => reader.read_exact(bytes),
-            Decoder::Compressed(decompressor) => decompressor.decompress_many(bytes),
+        self.decoder.read(self.points.resize_for(count as usize), || {
+            format!("point {} of {}", self.next, self.point_count)
         })?;
         self.next += count;
         Ok(count)
@@ -221,195 +196,6 @@ fn origin_of(header: &Header) -> DVec3 {
     );
     let offset = DVec3::new(transforms.x.offset, transforms.y.offset, transforms.z.offset);
     [center, offset].into_iter().find(|o| o.is_finite()).unwrap_or_default().round()
-}
-
-/// Starts decompressing at the points of a LAZ file.
-fn open_compressed(
-    mut reader: BufReader<GuardedFile>,
-    header: &Header,
-    path: &Path,
-) -> Result<LasZipDecompressor<'static, BufReader<GuardedFile>>, CloudError> {
-    let vlr = guard(path, "header", || header.laz_vlr())?;
-    let point_bytes = u64::from(header.point_format().len());
-    if vlr.items_size() != point_bytes {
-        return Err(CloudError::malformed(
-            path,
-            format!(
-                "compressed points are {} bytes, expected {point_bytes} by the header",
-                vlr.items_size()
-            ),
-        ));
-    }
-    // Compressor 1 writes a single chunk and no table.
-    let record = header.vlrs().iter().find(|vlr| las::laz::is_laszip_vlr(vlr));
-    if record.is_some_and(|vlr| !vlr.data.starts_with(&[1, 0])) {
-        check_chunk_table(&mut reader)
-            .map_err(|e| CloudError::io(path, "read", e))?
-            .map_err(|message| CloudError::malformed(path, message))?;
-    }
-    guard(path, "header", || LasZipDecompressor::new(reader, vlr))
-}
-
-/// Runs a decoder step; its errors, and its panics on damaged data, become errors of ours.
-fn guard<T, E: std::fmt::Display>(
-    path: &Path,
-    place: &str,
-    step: impl FnOnce() -> Result<T, E>,
-) -> Result<T, CloudError> {
-    // Unwind safe: after an error the source is not read on.
-    match catch_unwind(AssertUnwindSafe(step)) {
-        Ok(Ok(value)) => Ok(value),
-        Ok(Err(error)) => Err(CloudError::malformed(
-            path,
-            format!("{place}: {error}; the file is damaged or cut short"),
-        )),
-        Err(_) => Err(CloudError::malformed(
-            path,
-            format!("{place}: the compressed data make no sense; the file is damaged"),
-        )),
-    }
-}
-
-/// A LAS file whose header was checked and claims no extended records.
-struct GuardedFile {
-    file: File,
-    header: Vec<u8>,
-    position: u64,
-}
-
-impl GuardedFile {
-    fn open(path: &Path) -> Result<Self, CloudError> {
-        let io = |e| CloudError::io(path, "read", e);
-        let mut file = File::open(path).map_err(|e| CloudError::io(path, "open", e))?;
-        let length = file.seek(SeekFrom::End(0)).map_err(io)?;
-        file.seek(SeekFrom::Start(0)).map_err(io)?;
-        let mut header = Vec::with_capacity(HEADER_BYTES_MAX);
-        file.by_ref().take(HEADER_BYTES_MAX as u64).read_to_end(&mut header).map_err(io)?;
-        check_header(&header, length).map_err(|message| CloudError::malformed(path, message))?;
-        hide_extended_records(&mut header);
-        file.seek(SeekFrom::Start(0)).map_err(io)?;
-        Ok(Self { file, header, position: 0 })
-    }
-}
-
-impl Read for GuardedFile {
-    fn read(&mut self, out: &mut [u8]) -> std::io::Result<usize> {
-        let read = match usize::try_from(self.position) {
-            Ok(at) if at < self.header.len() => {
-                let n = out.len().min(self.header.len() - at);
-                out[..n].copy_from_slice(&self.header[at..at + n]);
-                self.file.seek_relative(n as i64)?;
-                n
-            }
-            _ => self.file.read(out)?,
-        };
-        self.position += read as u64;
-        Ok(read)
-    }
-}
-
-impl Seek for GuardedFile {
-    fn seek(&mut self, to: SeekFrom) -> std::io::Result<u64> {
-        self.position = self.file.seek(to)?;
-        Ok(self.position)
-    }
-}
-
-/// Compares the sizes a LAS header claims with the `length` of its file. Offsets are those of the
-/// LAS 1.4 specification, section 2.4.
-fn check_header(header: &[u8], length: u64) -> Result<(), String> {
-    if header.len() < 227 || &header[..4] != b"LASF" {
-        return Err("not a LAS file: expected `LASF` and a header of 227 bytes at its start".into());
-    }
-    let u16_at = |at: usize| u64::from(u16::from_le_bytes(array_at(header, at)));
-    let u32_at = |at: usize| u64::from(u32::from_le_bytes(array_at(header, at)));
-    let (major, minor) = (header[24], header[25]);
-    if major != 1 || minor > 4 {
-        return Err(format!("version {major}.{minor}, expected 1.0 to 1.4"));
-    }
-    let header_size_min = match minor {
-        0..=2 => 227,
-        3 => 235,
-        _ => 375,
-    };
-    let (header_size, offset) = (u16_at(94), u32_at(96));
-    if header_size < header_size_min || (header.len() as u64) < header_size_min {
-        return Err(format!("header of {header_size} bytes, expected {header_size_min}"));
-    }
-    if offset < header_size || offset > length.min(POINTS_OFFSET_MAX) {
-        return Err(format!("points at byte {offset} of {length}; the file is damaged"));
-    }
-    let records = u32_at(100);
-    if records.saturating_mul(54) > offset {
-        return Err(format!("{records} records before the points at byte {offset}"));
-    }
-    let is_compressed = header[104] & 0xc0 != 0;
-    let mut count = u32_at(107);
-    if minor >= 4 && count == 0 {
-        count = u64::from_le_bytes(array_at(header, 247));
-    }
-    // Even the best compression leaves a bit per 8 points in each chunk.
-    let fits = match is_compressed {
-        false => count.checked_mul(u16_at(105)).is_some_and(|b| b <= length - offset),
-        true => count / 64 <= length,
-    };
-    if !fits {
-        return Err(format!(
-            "{count} points do not fit into {length} bytes; the file is cut short or its header \
-             is damaged"
-        ));
-    }
-    Ok(())
-}
-
-/// Refuses a LAZ chunk table with more chunks than the file has room for. `reader` stands at the
-/// first compressed byte, and stands there again afterwards.
-fn check_chunk_table(reader: &mut (impl Read + Seek)) -> std::io::Result<Result<(), String>> {
-    let offset = reader.stream_position()?;
-    let length = reader.seek(SeekFrom::End(0))?;
-    let mut read_at = |at: u64| -> std::io::Result<Option<[u8; 8]>> {
-        let mut bytes = [0u8; 8];
-        if at > length.saturating_sub(8) {
-            return Ok(None);
-        }
-        reader.seek(SeekFrom::Start(at))?;
-        reader.read_exact(&mut bytes)?;
-        Ok(Some(bytes))
-    };
-    let Some(first) = read_at(offset)? else {
-        return Ok(Err("the file ends before its compressed points".into()));
-    };
-    let mut table = i64::from_le_bytes(first);
-    if table <= offset as i64 {
-        // Streamed files keep the place at their end.
-        table = read_at(length - 8)?.map_or(0, i64::from_le_bytes);
-    }
-    let Some(start) = u64::try_from(table).ok().filter(|&t| t > offset) else {
-        return Ok(Err("the table of compressed chunks is missing; the file is cut short".into()));
-    };
-    let Some(head) = read_at(start)? else {
-        return Ok(Err(format!("chunk table at byte {start} of {length}; the file is cut short")));
-    };
-    let chunks = u32::from_le_bytes(array_at(&head, 4));
-    if u64::from(chunks) > length / 8 {
-        return Ok(Err(format!("{chunks} compressed chunks in a file of {length} bytes")));
-    }
-    reader.seek(SeekFrom::Start(offset))?;
-    Ok(Ok(()))
-}
-
-/// Sets the place of waveforms and extended records to none.
-fn hide_extended_records(header: &mut [u8]) {
-    let end = match header[25] {
-        0..=2 => return,
-        3 => 235,
-        _ => 247,
-    };
-    header[227..end].fill(0);
-}
-
-fn array_at<const N: usize>(bytes: &[u8], at: usize) -> [u8; N] {
-    std::array::from_fn(|i| bytes[at + i])
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@
 mod atomic_file;
 mod concat;
 mod las;
+mod las_decoder;
 mod open;
 mod ply;
 mod ply_points;
