@@ -1,0 +1,49 @@
+//! The environment in the shape the gather reads it.
+
+use pbgi_brdf::EnvironmentTexels;
+use pbgi_light::Environment;
+use pbgi_math::Vec3;
+use pbgi_raster::{CubeRasterTable, Window};
+
+/// A peak of the environment: the window its visibility is resolved in, and its light per texel.
+#[derive(Clone, Debug)]
+pub(crate) struct PreparedPeak {
+    pub window: Window,
+    /// Unit direction and radiance times solid angle, row by row.
+    pub texels: Vec<(Vec3, [f32; 3])>,
+    /// Half-angle's sine of the cone around the window's axis that holds the window.
+    pub sin_half_angle: f32,
+}
+
+/// An environment prepared for one raster resolution.
+#[derive(Clone, Debug)]
+pub struct PreparedLight {
+    pub(crate) base: EnvironmentTexels,
+    pub(crate) peaks: Vec<PreparedPeak>,
+}
+
+impl PreparedLight {
+    /// Averages the environment over the texels of a raster with `n` texels per face and sets up a
+    /// window for each of its peaks.
+    #[must_use]
+    pub fn new(environment: &Environment, n: usize) -> Self {
+        let table = CubeRasterTable::new(n);
+        let peaks = environment.peaks().iter().map(|peak| {
+            let texels = (0..peak.n * peak.n).map(|i| {
+                let (row, column) = (i / peak.n, i % peak.n);
+                let solid_angle = peak.texel_solid_angle(row, column);
+                (peak.texel_direction(row, column), peak.texels[i].map(|c| c * solid_angle))
+            });
+            let half_diagonal = peak.half_width * std::f32::consts::SQRT_2;
+            PreparedPeak {
+                window: Window { frame: peak.frame, half_width: peak.half_width, n: peak.n },
+                texels: texels.collect(),
+                sin_half_angle: half_diagonal / (1.0 + half_diagonal * half_diagonal).sqrt(),
+            }
+        });
+        Self {
+            base: EnvironmentTexels::new(&table, &environment.base_texels(n)),
+            peaks: peaks.collect(),
+        }
+    }
+}
