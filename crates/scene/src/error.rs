@@ -1,5 +1,6 @@
 //! Why a scene could not be read.
 
+use pbgi_cloud::CloudError;
 use std::path::{Path, PathBuf};
 
 /// Why a scene could not be read.
@@ -50,5 +51,14 @@ impl SceneError {
     /// A [`SceneError::Unsupported`] for `path`.
     pub fn unsupported(path: &Path, what: impl Into<String>, cure: impl Into<String>) -> Self {
         Self::Unsupported { path: path.to_owned(), what: what.into(), cure: cure.into() }
+    }
+}
+
+/// `path` serves errors that name none.
+pub(crate) fn from_cloud_error(path: &Path, error: CloudError) -> SceneError {
+    match error {
+        CloudError::Io { path, action, source } => SceneError::Io { path, action, source },
+        CloudError::Malformed { path, message } => SceneError::Malformed { path, message },
+        other => SceneError::malformed(path, other.to_string()),
     }
 }

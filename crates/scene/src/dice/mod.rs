@@ -571,8 +571,9 @@ mod tests {
             let options = DiceOptions { spacing: Spacing::Count(count), two_sided: TwoSided::None };
             let mut diced = DicedScene::new(&scene, options).unwrap();
             let start = std::time::Instant::now();
-            let (mut chunk, mut total) = (vec![], 0);
-            while diced.read_chunk(&mut chunk).unwrap() {
+            let (mut chunk, mut total, mut more) = (vec![], 0, true);
+            while more {
+                more = diced.read_chunk(&mut chunk).unwrap();
                 total += chunk.len();
                 chunk.clear();
             }

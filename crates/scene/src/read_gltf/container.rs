@@ -1,0 +1,188 @@
+//! The containers of glTF: GLB chunks, data URIs, files beside the JSON.
+
+use crate::SceneError;
+use std::borrow::Cow;
+use std::path::Path;
+
+const CURE_GLTF_1: &str = "convert it to glTF 2.0";
+
+/// JSON text and binary chunk of a `.gltf` or `.glb` file.
+pub(super) fn split<'a>(
+    path: &Path,
+    file: &'a [u8],
+) -> Result<(&'a [u8], Option<&'a [u8]>), SceneError> {
+    let malformed = |message: String| SceneError::malformed(path, message);
+    if !file.starts_with(b"glTF") {
+        return Ok((file, None));
+    }
+    let word = |offset: usize| {
+        let bytes: Option<[u8; 4]> = file.get(offset..offset + 4)?.try_into().ok();
+        bytes.map(u32::from_le_bytes)
+    };
+    let (Some(version), Some(length)) = (word(4), word(8)) else {
+        return Err(malformed(format!(
+            "the glb header has 12 bytes, but the file only {}",
+            file.len()
+        )));
+    };
+    if version != 2 {
+        return Err(SceneError::unsupported(path, format!("glb version {version}"), CURE_GLTF_1));
+    }
+    if length as usize > file.len() {
+        return Err(malformed(format!(
+            "the glb header promises {length} bytes, but the file has {}; copy it again",
+            file.len()
+        )));
+    }
+    let mut chunks = [None; 2];
+    let mut offset = 12;
+    while offset + 8 <= length as usize {
+        let (size, kind) = (word(offset).unwrap_or(0) as usize, &file[offset + 4..offset + 8]);
+        let end = offset + 8 + size;
+        if end > length as usize {
+            return Err(malformed(format!(
+                "glb chunk at byte {offset} has {size} bytes, but only {} follow",
+                length as usize - offset - 8
+            )));
+        }
+        let data = &file[offset + 8..end];
+        match kind {
+            b"JSON" if offset == 12 => chunks[0] = Some(data),
+            b"BIN\0" if chunks[1].is_none() => chunks[1] = Some(data),
+            // The specification asks to skip unknown chunks.
+            _ => {}
+        }
+        offset = end;
+    }
+    match chunks {
+        [Some(json), binary] => Ok((json, binary)),
+        _ => Err(malformed("the first glb chunk is not json".into())),
+    }
+}
+
+/// What a URI of the file at `path` points to: a data URI or a file beside it. `place` is for
+/// messages.
+pub(super) fn resolve_uri(path: &Path, place: &str, uri: &str) -> Result<Vec<u8>, SceneError> {
+    let malformed = |message: &str| SceneError::malformed(path, format!("{place}: {message}"));
+    if let Some(data) = uri.strip_prefix("data:") {
+        let (kind, data) =
+            data.split_once(',').ok_or_else(|| malformed("data uri without a comma"))?;
+        if !kind.ends_with(";base64") {
+            return decode_percent(data).ok_or_else(|| malformed("bad %-escape in a data uri"));
+        }
+        return decode_base64(data).ok_or_else(|| malformed("data uri is not valid base64"));
+    }
+    if uri.contains("://") {
+        let cure = "download it, put it beside the file and refer to it by name";
+        return Err(SceneError::unsupported(path, format!("{place}: the address {uri}"), cure));
+    }
+    let name = decode_percent(uri)
+        .and_then(|bytes| String::from_utf8(bytes).ok())
+        .ok_or_else(|| malformed("bad %-escape in a file name"))?;
+    let file = path.parent().unwrap_or(Path::new("")).join(name);
+    std::fs::read(&file).map_err(|e| SceneError::io(&file, "read", e))
+}
+
+/// Loads all buffers; each is at least as long as its `byteLength`.
+pub(super) fn load_buffers<'a>(
+    path: &Path,
+    root: &gltf::json::Root,
+    binary: Option<&'a [u8]>,
+) -> Result<Vec<Cow<'a, [u8]>>, SceneError> {
+    let load = |(i, buffer): (usize, &gltf::json::Buffer)| {
+        let data = match (&buffer.uri, binary) {
+            (Some(uri), _) => Cow::Owned(resolve_uri(path, &format!("buffer {i}"), uri)?),
+            (None, Some(binary)) if i == 0 => Cow::Borrowed(binary),
+            (None, _) => {
+                let message = format!("buffer {i} has neither a uri nor a glb chunk");
+                return Err(SceneError::malformed(path, message));
+            }
+        };
+        if (data.len() as u64) < buffer.byte_length.0 {
+            return Err(SceneError::malformed(
+                path,
+                format!(
+                    "buffer {i} should have {} bytes, but has {}",
+                    buffer.byte_length.0,
+                    data.len()
+                ),
+            ));
+        }
+        Ok(data)
+    };
+    root.buffers.iter().enumerate().map(load).collect()
+}
+
+/// Bytes of standard base64 (RFC 4648) with or without padding.
+fn decode_base64(text: &str) -> Option<Vec<u8>> {
+    let digits = text.trim_end_matches('=').as_bytes();
+    let mut bytes = Vec::with_capacity(digits.len() / 4 * 3 + 3);
+    for group in digits.chunks(4) {
+        let mut word = 0u32;
+        for &digit in group {
+            let value = match digit {
+                b'A'..=b'Z' => digit - b'A',
+                b'a'..=b'z' => digit - b'a' + 26,
+                b'0'..=b'9' => digit - b'0' + 52,
+                b'+' => 62,
+                b'/' => 63,
+                _ => return None,
+            };
+            word = word << 6 | u32::from(value);
+        }
+        let [_, a, b, c] = (word << (6 * (4 - group.len()))).to_be_bytes();
+        match group.len() {
+            4 => bytes.extend([a, b, c]),
+            3 => bytes.extend([a, b]),
+            2 => bytes.push(a),
+            _ => return None,
+        }
+    }
+    Some(bytes)
+}
+
+/// Bytes of a %-escaped text (RFC 3986).
+fn decode_percent(text: &str) -> Option<Vec<u8>> {
+    let mut bytes = Vec::with_capacity(text.len());
+    let mut rest = text.as_bytes();
+    while let [first, tail @ ..] = rest {
+        rest = tail;
+        if *first != b'%' {
+            bytes.push(*first);
+            continue;
+        }
+        let hex = std::str::from_utf8(tail.get(..2)?).ok()?;
+        bytes.push(u8::from_str_radix(hex, 16).ok()?);
+        rest = &tail[2..];
+    }
+    Some(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn base64_matches_the_vectors_of_its_rfc() {
+        for (text, bytes) in [
+            ("", ""),
+            ("Zg==", "f"),
+            ("Zm8=", "fo"),
+            ("Zm9v", "foo"),
+            ("Zm9vYg==", "foob"),
+            ("Zm9vYmE", "fooba"),
+            ("Zm9vYmFy", "foobar"),
+        ] {
+            assert_eq!(decode_base64(text).unwrap(), bytes.as_bytes());
+        }
+        assert_eq!(decode_base64("+/+/").unwrap(), [0xfb, 0xff, 0xbf]);
+        assert!(decode_base64("Zm9vY").is_none());
+        assert!(decode_base64("Zm 9").is_none());
+    }
+
+    #[test]
+    fn percent_escapes_are_undone() {
+        assert_eq!(decode_percent("a%20b%2Fc").unwrap(), b"a b/c");
+        assert!(decode_percent("a%2").is_none() && decode_percent("%zz").is_none());
+    }
+}

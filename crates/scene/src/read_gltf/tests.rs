@@ -1,0 +1,331 @@
+//! Small documents, sound and damaged.
+
+use super::*;
+use pbgi_math::{Vec2, Vec3};
+use std::fmt::Write;
+
+/// Bytes of one buffer, and views and accessors into it.
+#[derive(Default)]
+struct Builder {
+    bytes: Vec<u8>,
+    views: Vec<String>,
+    accessors: Vec<String>,
+}
+
+impl Builder {
+    /// Adds a view of `data`; returns its index.
+    fn view(&mut self, data: &[u8], extra: &str) -> usize {
+        let (offset, length) = (self.bytes.len(), data.len());
+        self.bytes.extend(data);
+        self.views
+            .push(format!(r#"{{"buffer":0,"byteOffset":{offset},"byteLength":{length}{extra}}}"#));
+        self.views.len() - 1
+    }
+
+    fn accessor(&mut self, data: &[u8], kind: u32, type_: &str, count: usize, extra: &str) {
+        let view = self.view(data, "");
+        self.accessors.push(format!(
+            r#"{{"bufferView":{view},"componentType":{kind},"type":"{type_}","count":{count}{extra}}}"#
+        ));
+    }
+
+    fn glb(&self, rest: &str) -> Vec<u8> {
+        let json = format!(
+            r#"{{"asset":{{"version":"2.0"}},"buffers":[{{"byteLength":{}}}],"bufferViews":[{}],"accessors":[{}],{rest}}}"#,
+            self.bytes.len(),
+            self.views.join(","),
+            self.accessors.join(",")
+        );
+        pack_glb(json.as_bytes(), &self.bytes)
+    }
+}
+
+fn pack_glb(json: &[u8], binary: &[u8]) -> Vec<u8> {
+    let mut glb = b"glTF\x02\0\0\0".to_vec();
+    glb.extend((28 + json.len() as u32 + binary.len() as u32).to_le_bytes());
+    for (kind, data) in [(b"JSON", json), (b"BIN\0", binary)] {
+        glb.extend((data.len() as u32).to_le_bytes());
+        glb.extend(kind);
+        glb.extend(data);
+    }
+    glb
+}
+
+fn floats(values: &[f32]) -> Vec<u8> {
+    values.iter().flat_map(|v| v.to_le_bytes()).collect()
+}
+
+const QUAD: [f32; 12] = [0., 0., 0., 1., 0., 0., 0., 1., 0., 1., 1., 0.];
+
+/// A strip of two triangles with u8 indices, texture coordinates and colors.
+fn quad() -> Builder {
+    let mut builder = Builder::default();
+    builder.accessor(&floats(&QUAD), 5126, "VEC3", 4, "");
+    builder.accessor(&[0, 1, 2, 3], 5121, "SCALAR", 4, "");
+    builder.accessor(&[0, 0, 255, 0, 0, 255, 255, 255], 5121, "VEC2", 4, r#","normalized":true"#);
+    builder.accessor(&[255, 0, 51, 255].repeat(4), 5121, "VEC4", 4, r#","normalized":true"#);
+    builder
+}
+
+const SCENE: &str = r#""scenes":[{"nodes":[0]}],"nodes":[{"mesh":0}],"meshes":[{"primitives":[
+    {"mode":5,"attributes":{"POSITION":0,"TEXCOORD_0":2,"COLOR_0":3},"indices":1,"material":0}]}],
+    "materials":[{"name":"m"}]"#;
+
+fn parse(glb: &[u8]) -> Result<Scene, SceneError> {
+    parse_gltf(Path::new("test.glb"), glb)
+}
+
+#[test]
+fn strips_with_small_types_are_read() {
+    let scene = parse(&quad().glb(SCENE)).unwrap();
+    let mesh = &scene.meshes[0];
+    assert_eq!(mesh.triangles, [[0, 1, 2], [2, 1, 3]]);
+    assert_eq!(mesh.positions[3], Vec3::new(1.0, 1.0, 0.0));
+    assert_eq!(mesh.colors, [[1.0, 0.0, 0.2]; 4]);
+    // Without a texture no coordinates are needed.
+    assert!(mesh.uvs.is_empty() && mesh.normals.is_empty());
+    assert_eq!((scene.materials.len(), scene.warnings.len()), (1, 0));
+}
+
+#[test]
+fn missing_indices_materials_and_scenes_are_made_up() {
+    let mut builder = Builder::default();
+    builder.accessor(&floats(&QUAD[..9]), 5126, "VEC3", 3, "");
+    let rest = r#""nodes":[{"children":[1]},{"mesh":0}],
+        "meshes":[{"primitives":[{"attributes":{"POSITION":0}}]}]"#;
+    let scene = parse(&builder.glb(rest)).unwrap();
+    assert_eq!(scene.meshes[0].triangles, [[0, 1, 2]]);
+    assert_eq!(scene.materials[scene.meshes[0].material as usize].metallic, 0.0);
+    assert_eq!(scene.instances.len(), 1);
+}
+
+#[test]
+fn sparse_and_strided_accessors_are_read() {
+    let mut builder = Builder::default();
+    let padded: Vec<f32> = QUAD[..9].chunks(3).flat_map(|p| [p[0], p[1], p[2], 9.0]).collect();
+    let view = builder.view(&floats(&padded), r#","byteStride":16"#);
+    let indices = builder.view(&[2, 0], "");
+    let values = builder.view(&floats(&[7., 8., 9.]), "");
+    builder.accessors.push(format!(
+        r#"{{"bufferView":{view},"componentType":5126,"type":"VEC3","count":3,"sparse":{{"count":1,
+        "indices":{{"bufferView":{indices},"componentType":5123}},"values":{{"bufferView":{values}}}}}}}"#
+    ));
+    let rest = r#""nodes":[{"mesh":0}],"meshes":[{"primitives":[{"attributes":{"POSITION":0}}]}]"#;
+    let scene = parse(&builder.glb(rest)).unwrap();
+    assert_eq!(scene.meshes[0].positions, [Vec3::ZERO, Vec3::X, Vec3::new(7.0, 8.0, 9.0)]);
+    let outside = builder.glb(rest);
+    let place = outside.windows(2).rposition(|w| w == [2, 0]).unwrap();
+    let mut outside = outside;
+    outside[place] = 3;
+    assert!(parse(&outside).unwrap_err().to_string().contains("sparse index 3"));
+}
+
+#[test]
+fn transforms_nest_and_mirror() {
+    let nodes = r#""scene":0,"scenes":[{"nodes":[2]}],"meshes":[{"primitives":[{"attributes":{"POSITION":0}}]}],
+        "nodes":[{"mesh":0,"translation":[1,0,0]},{"mesh":0,"scale":[-1,1,1]},
+        {"rotation":[0,0,1.4142,1.4142],"translation":[0,0,5],"children":[0,1]}]"#;
+    let mut builder = Builder::default();
+    builder.accessor(&floats(&QUAD[..9]), 5126, "VEC3", 3, "");
+    let scene = parse(&builder.glb(nodes)).unwrap();
+    assert_eq!(scene.meshes.len(), 1);
+    let [first, second] = &scene.instances[..] else { panic!("{:?}", scene.instances) };
+    // A quarter turn about +Z takes +X to +Y.
+    let moved = first.transform.transform_point3(Vec3::X);
+    assert!((moved - Vec3::new(0.0, 2.0, 5.0)).length() < 1e-5, "{moved}");
+    assert!(!first.flips() && second.flips());
+}
+
+#[test]
+fn materials_are_read_with_their_extensions() {
+    let png = tiny_png([255, 188, 0, 100]);
+    let mut builder = quad();
+    let view = builder.view(&png, "");
+    let rest = format!(
+        r#""extensionsRequired":["KHR_texture_transform"],
+        "extensionsUsed":["KHR_texture_transform","KHR_materials_emissive_strength"],
+        "nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[
+        {{"mode":5,"attributes":{{"POSITION":0,"TEXCOORD_0":2}},"indices":1,"material":0}}]}}],
+        "images":[{{"bufferView":{view},"mimeType":"image/png"}}],"textures":[{{"source":0}}],
+        "materials":[{{"alphaMode":"MASK","alphaCutoff":0.3,"doubleSided":true,
+        "emissiveFactor":[1,0.5,0.25],
+        "extensions":{{"KHR_materials_emissive_strength":{{"emissiveStrength":8}}}},
+        "pbrMetallicRoughness":{{"baseColorFactor":[0.5,0.5,0.5,0.6],"metallicFactor":0.25,
+        "baseColorTexture":{{"index":0,"extensions":{{"KHR_texture_transform":
+        {{"offset":[0.5,0],"scale":[2,4],"rotation":1.5707963}}}}}}}}}}]"#
+    );
+    let scene = parse(&builder.glb(&rest)).unwrap();
+    let material = &scene.materials[0];
+    assert_eq!(material.emission, [8.0, 4.0, 2.0]);
+    assert!((material.alpha_cutoff.unwrap() - 0.5).abs() < 1e-6 && material.double_sided);
+    assert_eq!((material.base_color, material.metallic), ([0.5; 3], 0.25));
+    let texture = &scene.textures[material.base_color_texture.unwrap() as usize];
+    assert_eq!(texture.texels(), [[255, 188, 0, 100]]);
+    // (u, v) → (v', -u') + offset, after scaling.
+    assert!((scene.meshes[0].uvs[3] - Vec2::new(4.5, -2.0)).length() < 1e-5);
+    // Of an opaque material the alpha is dropped.
+    let opaque = parse(&builder.glb(&rest.replace(r#""MASK","#, r#""OPAQUE","#))).unwrap();
+    assert_eq!(opaque.textures[0].texels(), [[255, 188, 0, 255]]);
+    // So is a cutoff that nothing falls below.
+    let solid = parse(&builder.glb(&rest.replace(":0.3,", ":0.1,"))).unwrap();
+    assert_eq!(solid.materials[0].alpha_cutoff, None);
+}
+
+fn tiny_png(pixel: [u8; 4]) -> Vec<u8> {
+    let mut bytes = std::io::Cursor::new(vec![]);
+    let image = image::RgbaImage::from_pixel(1, 1, image::Rgba(pixel));
+    image.write_to(&mut bytes, image::ImageFormat::Png).unwrap();
+    bytes.into_inner()
+}
+
+#[test]
+fn blended_glass_is_a_hole_with_a_warning() {
+    let rest = SCENE.replace(
+        r#"{"name":"m"}"#,
+        r#"{"alphaMode":"BLEND","pbrMetallicRoughness":{"baseColorFactor":[1,1,1,0.2]}}"#,
+    );
+    let scene = parse(&quad().glb(&rest)).unwrap();
+    assert!(scene.materials[0].alpha_cutoff.unwrap() > 1.0);
+    assert_eq!(scene.warnings.len(), 1);
+    let cloudy = parse(&quad().glb(&rest.replace("0.2]", "0.7]"))).unwrap();
+    assert_eq!(cloudy.materials[0].alpha_cutoff, None);
+}
+
+#[test]
+fn cameras_are_rigid() {
+    let rest = r#""nodes":[{"scale":[3,1,2],"rotation":[0,0.6,0,0.8],"children":[1]},
+        {"camera":0,"translation":[0,0,1],"name":"eye"},{"camera":1}],
+        "cameras":[{"type":"perspective","perspective":{"yfov":0.7,"znear":0.1}},
+        {"type":"orthographic","orthographic":{"xmag":1,"ymag":1,"znear":0,"zfar":1}}]"#;
+    let scene = parse(&quad().glb(rest)).unwrap();
+    assert_eq!((scene.cameras.len(), scene.warnings.len()), (1, 1), "{:?}", scene.warnings);
+    let camera = &scene.cameras[0];
+    assert_eq!((camera.name.as_str(), camera.yfov), ("eye", 0.7));
+    let axes = camera.transform.matrix3;
+    assert!((axes.determinant() - 1.0).abs() < 1e-5);
+    assert!((Vec3::from(axes.z_axis) - Vec3::new(0.96, 0.0, 0.28)).length() < 1e-5);
+    assert!((camera.transform.translation.x - 1.92).abs() < 1e-5);
+}
+
+#[test]
+fn files_beside_and_data_uris_are_found() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("q u.bin"), floats(&QUAD[..9])).unwrap();
+    let path = folder.path().join("test.gltf");
+    for uri in [
+        "q%20u.bin",
+        "data:application/octet-stream;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA",
+    ] {
+        let json = format!(
+            r#"{{"asset":{{"version":"2.0"}},"buffers":[{{"byteLength":36,"uri":"{uri}"}}],
+            "bufferViews":[{{"buffer":0,"byteLength":36}}],"nodes":[{{"mesh":0}}],
+            "accessors":[{{"bufferView":0,"componentType":5126,"type":"VEC3","count":3}}],
+            "meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}}}}]}}]}}"#
+        );
+        std::fs::write(&path, json).unwrap();
+        let scene = crate::read_scene(&path).unwrap();
+        assert_eq!(scene.meshes[0].positions, [Vec3::ZERO, Vec3::X, Vec3::Y]);
+    }
+    let missing = std::fs::read_to_string(&path).unwrap().replace("data:", "http://data:");
+    std::fs::write(&path, missing).unwrap();
+    assert!(matches!(crate::read_scene(&path), Err(SceneError::Unsupported { .. })));
+}
+
+#[test]
+fn required_extensions_are_refused_by_name_and_cure() {
+    for (extension, cure) in [
+        ("KHR_draco_mesh_compression", "gltf-transform copy"),
+        ("EXT_meshopt_compression", "gltf-transform copy"),
+        ("KHR_texture_basisu", "png"),
+        ("VENDOR_unheard_of", "export it again"),
+    ] {
+        let rest = format!(r#""extensionsRequired":["{extension}"],{SCENE}"#);
+        let error = parse(&quad().glb(&rest)).unwrap_err();
+        assert!(matches!(error, SceneError::Unsupported { .. }));
+        let message = error.to_string();
+        assert!(message.contains(extension) && message.contains(cure), "{message}");
+    }
+}
+
+#[test]
+fn damage_is_named() {
+    let quad = quad();
+    let sound = String::from_utf8_lossy(&quad.glb(SCENE)).into_owned();
+    assert!(sound.contains("glTF"));
+    let json = {
+        let glb = quad.glb(SCENE);
+        let length = u32::from_le_bytes(glb[12..16].try_into().unwrap()) as usize;
+        String::from_utf8(glb[20..20 + length].to_vec()).unwrap()
+    };
+    for (from, to, expected) in [
+        (
+            r#""type":"VEC3","count":4"#,
+            r#""type":"VEC3","count":5"#,
+            "mesh 0, primitive 0: POSITION: 5 elements",
+        ),
+        (r#""count":4"#, r#""count":1e300"#, "json"),
+        (r#""count":4"#, r#""count":18446744073709551615"#, "elements"),
+        (r#""type":"VEC3","#, r#""type":"VEC2","#, "vec2"),
+        (r#""byteOffset":48"#, r#""byteOffset":18446744073709551600"#, "buffer view 1"),
+        (r#""buffers":[{"byteLength":76"#, r#""buffers":[{"byteLength":99"#, "99 bytes"),
+        (
+            r#""bufferView":1,"componentType":5121"#,
+            r#""bufferView":1,"componentType":5126"#,
+            "elements",
+        ),
+        (r#"[{"mesh":0}]"#, r#"[{"mesh":0,"children":[0]}]"#, "tree"),
+        (r#"[{"mesh":0}]"#, r#"[{"mesh":7}]"#, "invalid gltf"),
+        (
+            r#"[{"mesh":0}]"#,
+            r#"[{"mesh":0,"scale":[1e38,1,1],"children":[1]},{"scale":[1e38,1,1]}]"#,
+            "finite",
+        ),
+        (r#""COLOR_0":3"#, r#""COLOR_0":1"#, "COLOR_0"),
+    ] {
+        assert!(json.contains(from), "{from} in {json}");
+        let damaged = json.replacen(from, to, 1);
+        let message = parse(&pack_glb(damaged.as_bytes(), &quad.bytes)).unwrap_err().to_string();
+        assert!(message.contains(expected), "{from}: {message}");
+    }
+    let mut bytes = quad.bytes.clone();
+    bytes[51] = 4;
+    let message = parse(&pack_glb(json.as_bytes(), &bytes)).unwrap_err().to_string();
+    assert!(message.contains("vertex index 4"), "{message}");
+    bytes = quad.bytes;
+    bytes[12..16].copy_from_slice(&f32::NAN.to_le_bytes());
+    let message = parse(&pack_glb(json.as_bytes(), &bytes)).unwrap_err().to_string();
+    assert!(message.contains("position of vertex 1"), "{message}");
+}
+
+#[test]
+fn truncated_and_mutated_files_never_panic() {
+    let png = tiny_png([1, 2, 3, 4]);
+    let mut builder = quad();
+    let view = builder.view(&png, "");
+    let mut rest = SCENE.replace(
+        r#"{"name":"m"}"#,
+        r#"{"alphaMode":"MASK","pbrMetallicRoughness":{"baseColorTexture":{"index":0}}}"#,
+    );
+    write!(
+        rest,
+        r#","images":[{{"bufferView":{view},"mimeType":"image/png"}}],"textures":[{{"source":0}}],
+        "cameras":[{{"type":"perspective","perspective":{{"yfov":0.7,"znear":0.1}}}}]"#
+    )
+    .unwrap();
+    let sound = builder.glb(&rest);
+    parse(&sound).unwrap();
+    for length in 0..sound.len() {
+        assert!(parse(&sound[..length]).is_err(), "{length}");
+    }
+    let mut errors = 0;
+    for place in 0..sound.len() {
+        for byte in
+            [0, b' ', b'9', b'-', b'"', b'}', b'z', 0xff, sound[place] ^ 1, sound[place] ^ 2]
+        {
+            let mut damaged = sound.clone();
+            damaged[place] = byte;
+            errors += u32::from(parse(&damaged).is_err());
+        }
+    }
+    assert!(errors > 1000, "{errors}");
+}
