@@ -1,0 +1,72 @@
+//! Analytic scenes made of surfels.
+
+use pbgi_cloud::Surfel;
+use pbgi_math::Vec3;
+
+/// Directions spread evenly over the sphere (a Fibonacci spiral).
+pub fn sphere_directions(count: u32) -> impl Iterator<Item = Vec3> {
+    (0..count).map(move |i| {
+        let z = -1.0 + 2.0 * (i as f32 + 0.5) / count as f32;
+        let phi = (f64::from(i) * 2.399_963_229_728_653 % std::f64::consts::TAU) as f32;
+        let r = (1.0 - z * z).max(0.0).sqrt();
+        Vec3::new(r * phi.cos(), r * phi.sin(), z).normalize()
+    })
+}
+
+/// The inside of a box of the given half-extents: `per_edge²` square surfels on each wall, facing
+/// inward, all with the same radiance. In it `E = πL` everywhere.
+#[must_use]
+pub fn closed_room(half: Vec3, per_edge: usize, radiance: f32) -> Vec<Surfel> {
+    let mut surfels = Vec::with_capacity(6 * per_edge * per_edge);
+    for axis in 0..3 {
+        let (ua, va) = ((axis + 1) % 3, (axis + 2) % 3);
+        let (du, dv) = (2.0 * half[ua] / per_edge as f32, 2.0 * half[va] / per_edge as f32);
+        for side in [-1.0f32, 1.0] {
+            let mut normal = Vec3::ZERO;
+            normal[axis] = -side;
+            for i in 0..per_edge * per_edge {
+                let mut center = Vec3::ZERO;
+                center[axis] = side * half[axis];
+                center[ua] = -half[ua] + ((i % per_edge) as f32 + 0.5) * du;
+                center[va] = -half[va] + ((i / per_edge) as f32 + 0.5) * dv;
+                let radius = 0.5 * (du * du + dv * dv).sqrt();
+                surfels.push(
+                    Surfel::new(center, normal, radius, du * dv).with_radiance([radiance; 3]),
+                );
+            }
+        }
+    }
+    surfels
+}
+
+/// Surfels of random place, normal, size and radiance in a cube of edge 2 around the origin, from a
+/// fixed seed.
+#[must_use]
+pub fn random_soup(count: usize, radius: f32, seed: u64) -> Vec<Surfel> {
+    let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
+    let mut unit = move || {
+        // SplitMix64 (Steele, Lea, Flood 2014).
+        state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = state;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 40) as f32 / (1u64 << 24) as f32
+    };
+    (0..count)
+        .map(|_| {
+            let center = Vec3::new(unit(), unit(), unit()) * 2.0 - 1.0;
+            let z = 2.0 * unit() - 1.0;
+            let (sin, cos) = (unit() * std::f32::consts::TAU).sin_cos();
+            let r = (1.0 - z * z).max(0.0).sqrt();
+            let radius = radius * (0.5 + unit());
+            // The disk covers a square of the same half-diagonal, as a micropolygon's does.
+            Surfel::new(
+                center,
+                Vec3::new(r * cos, r * sin, z).normalize(),
+                radius,
+                2.0 * radius * radius,
+            )
+            .with_radiance([unit() * 4.0, unit(), 0.3])
+        })
+        .collect()
+}

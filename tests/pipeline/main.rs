@@ -1,0 +1,6 @@
+//! The whole pipeline against oracles and closed forms.
+#![allow(missing_docs, reason = "tests are named by what they claim")]
+
+mod closed_forms;
+mod octree_file;
+mod support;

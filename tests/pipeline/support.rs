@@ -1,0 +1,60 @@
+//! Baking surfels in memory, the obvious way.
+
+use pbgi_build::{
+    BuildOptions, BuildReport, SortedStream, StreamError, StreamSummary, build_octree,
+};
+use pbgi_cloud::{Surfel, SurfelFlags};
+use pbgi_math::{DVec3, MortonCode};
+use pbgi_store::{Octree, OpenOptions};
+use std::path::Path;
+
+/// Sorted surfels handed out in chunks of a given size.
+pub struct MemoryStream {
+    surfels: Vec<(MortonCode, Surfel)>,
+    next: usize,
+    chunk: usize,
+}
+
+impl SortedStream for MemoryStream {
+    fn read_chunk(&mut self, out: &mut Vec<(MortonCode, Surfel)>) -> Result<bool, StreamError> {
+        let end = (self.next + self.chunk).min(self.surfels.len());
+        out.extend_from_slice(&self.surfels[self.next..end]);
+        self.next = end;
+        Ok(end < self.surfels.len())
+    }
+}
+
+pub fn stream(surfels: &[Surfel], chunk: usize) -> (MemoryStream, StreamSummary) {
+    let (root, sorted) = pbgi_testkit::sort_in_memory(surfels);
+    let (radius_max, area_max, radiance_max) = pbgi_testkit::summarize(surfels);
+    let summary = StreamSummary {
+        root,
+        origin: DVec3::ZERO,
+        surfel_count: surfels.len() as u64,
+        radius_max,
+        area_max,
+        radiance_max,
+        any_albedo: surfels.iter().any(|s| s.albedo_rgb() != [0.0; 3]),
+        any_isotropic: surfels.iter().any(|s| s.flags.contains(SurfelFlags::ISOTROPIC)),
+        z_up: false,
+    };
+    (MemoryStream { surfels: sorted, next: 0, chunk }, summary)
+}
+
+pub fn bake(surfels: &[Surfel], options: &BuildOptions<'_>, target: &Path) -> BuildReport {
+    let (mut stream, summary) = stream(surfels, 1000);
+    build_octree(&mut stream, &summary, options, target).expect("a valid cloud bakes")
+}
+
+/// Bakes and opens with room for everything.
+pub fn bake_and_open(
+    surfels: &[Surfel],
+    options: &BuildOptions<'_>,
+) -> (tempfile::TempDir, Octree) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.pbgi");
+    bake(surfels, options, &path);
+    let octree =
+        Octree::open(&path, &OpenOptions { readers: 2, ..OpenOptions::default() }).unwrap();
+    (folder, octree)
+}
