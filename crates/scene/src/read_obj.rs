@@ -331,4 +331,18 @@ mod tests {
         let scene = read("v 0 0 0\nv 1 0 0 1 0.5 0\nv 0 1 0\nf 1 2 3", "").unwrap();
         assert_eq!(scene.meshes[0].colors, [[1.0; 3], [1.0, 0.5, 0.0], [1.0; 3]]);
     }
+
+    #[test]
+    fn mutated_files_never_panic() {
+        let mut errors = 0;
+        for place in 0..SQUARE.len() {
+            for byte in [b'0', b'-', b'/', b' ', b'\n', b'\\', 0xff] {
+                let mut damaged = SQUARE.as_bytes().to_vec();
+                damaged[place] = byte;
+                let damaged = String::from_utf8_lossy(&damaged).into_owned();
+                errors += u32::from(read(&damaged, &damaged).is_err());
+            }
+        }
+        assert!(errors > 100, "{errors}");
+    }
 }

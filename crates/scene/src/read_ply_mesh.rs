@@ -256,4 +256,19 @@ mod tests {
         let broken = read(text.replace("0 0 3", "0 0 0").as_bytes()).unwrap();
         assert!(broken.meshes[0].normals.is_empty() && broken.warnings.len() == 1);
     }
+
+    #[test]
+    fn mutated_files_never_panic() {
+        let mut errors = 0;
+        for sound in [ascii().into_bytes(), binary(false), binary(true)] {
+            for place in 0..sound.len() {
+                for byte in [b'0', b'9', b'-', b'\n', 0x7f, 0xff] {
+                    let mut damaged = sound.clone();
+                    damaged[place] = byte;
+                    errors += u32::from(read(&damaged).is_err());
+                }
+            }
+        }
+        assert!(errors > 1000, "{errors}");
+    }
 }

@@ -102,8 +102,7 @@ impl Texture {
     #[must_use]
     pub fn sample_level(&self, uv: Vec2, texel_footprint: f32) -> [f32; 4] {
         let level = texel_footprint.log2();
-        // Also taken when the footprint is not a number.
-        if !(level > 0.0) {
+        if level.is_nan() || level <= 0.0 {
             return self.sample(uv);
         }
         let pyramid = self.pyramid();
@@ -274,7 +273,7 @@ mod tests {
     fn checkers(width: u32, height: u32) -> Texture {
         let texels = (0..width * height)
             .map(|i| {
-                let byte = if (i % width + i / width) % 2 == 0 { 255 } else { 0 };
+                let byte = if (i % width + i / width).is_multiple_of(2) { 255 } else { 0 };
                 [byte, byte, byte, 255]
             })
             .collect();

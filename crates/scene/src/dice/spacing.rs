@@ -23,8 +23,7 @@ pub(super) struct Evaluation {
 pub(super) fn find_spacing(target: u64, area: f64, count: impl Fn(f64) -> u64) -> Evaluation {
     let evaluate = |spacing: f64| Evaluation { spacing, count: count(spacing) };
     let fewest = evaluate(f64::INFINITY);
-    // Also taken when the area is 0 or not finite.
-    if target <= fewest.count || !(area > 0.0 && area.is_finite()) {
+    if target <= fewest.count || !area.is_normal() {
         return fewest;
     }
     let ratio = |e: Evaluation| e.count.max(1) as f64 / target as f64;

@@ -329,3 +329,20 @@ fn truncated_and_mutated_files_never_panic() {
     }
     assert!(errors > 1000, "{errors}");
 }
+
+#[test]
+fn damage_to_a_real_file_never_panics() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/reference/room.glb");
+    let Ok(sound) = std::fs::read(path) else { return println!("skipped: {path} is not there") };
+    for k in 0..200 {
+        assert!(parse(&sound[..sound.len() * k / 200]).is_err());
+    }
+    let json_end = 20 + u32::from_le_bytes(sound[12..16].try_into().unwrap()) as usize;
+    let mut errors = 0;
+    for place in 0..json_end {
+        let mut damaged = sound.clone();
+        damaged[place] ^= 1 << (place % 7);
+        errors += usize::from(parse(&damaged).is_err());
+    }
+    assert!(errors > json_end / 3, "{errors} of {json_end}");
+}
