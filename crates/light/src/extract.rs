@@ -461,6 +461,20 @@ mod tests {
     }
 
     #[test]
+    fn lights_become_peaks_from_their_share_of_the_flux_on() {
+        let width = 1024;
+        let index = 250 * width + 300;
+        for (share, count) in [(0.002, 0), (0.0029, 0), (0.0031, 1), (0.01, 1)] {
+            let (grid, mut pixels) = sky_with(width, &[]);
+            // The rest of the sky sends 4π.
+            let flux = 4.0 * std::f64::consts::PI * share / (1.0 - share);
+            pixels[index] = [(1.0 + flux / grid.solid_angle(250)) as f32; 3];
+            let (peaks, residual) = extract_peaks(&grid, &pixels, 32);
+            assert_eq!((peaks.len(), residual.len()), (count, count), "{share}");
+        }
+    }
+
+    #[test]
     fn extended_lights_stay_in_the_base() {
         let width = 512;
         let (grid, mut pixels) = sky_with(width, &[]);

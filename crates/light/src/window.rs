@@ -130,3 +130,51 @@ fn shift(frame: &Frame, x: f64, y: f64) -> Frame {
     let bitangent = normal.cross(frame.tangent).normalize();
     Frame { tangent: bitangent.cross(normal), bitangent, normal }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Light of one hue, so that the centroid of luminance is that of each channel.
+    #[test]
+    fn light_keeps_its_flux_and_centroid() {
+        let grid = LatLong::new(1024, 512, [Vec3::X, Vec3::Y, Vec3::Z]);
+        for start in [100 * 1024 + 300, 250 * 1024 + 1022, 7 * 1024 + 511] {
+            let region: Vec<usize> =
+                (0..3).flat_map(|r| (0..2).map(move |c| start + r * 1024 + c)).collect();
+            let window = fit_window(&grid, &region).unwrap();
+            let excess: Vec<(usize, [f32; 3])> = region
+                .iter()
+                .enumerate()
+                .map(|(i, index)| (*index, [1.0, 0.7, 0.2].map(|c| c * (i * i + 1) as f32)))
+                .collect();
+            let peak = fill_window(&grid, window, &excess);
+            let (mut exact, mut found) = ([0f64; 4], [0f64; 4]);
+            let add = |sum: &mut [f64; 4], flux: f64, direction: Vec3| {
+                (0..3).for_each(|k| sum[k] += flux * f64::from(direction[k]));
+                sum[3] += flux;
+            };
+            for (index, radiance) in &excess {
+                let (u, v) = ((index % 1024) as f64 + 0.5, (index / 1024) as f64);
+                for slice in 0..64 {
+                    let (v0, v1) = (v + slice as f64 / 64.0, v + (slice + 1) as f64 / 64.0);
+                    let solid_angle =
+                        grid.slice_solid_angle(v0, v1) * std::f64::consts::TAU / 1024.0;
+                    let flux = f64::from(radiance[0]) * solid_angle;
+                    add(&mut exact, flux, grid.direction(u, 0.5 * (v0 + v1)));
+                }
+            }
+            for i in 0..peak.n * peak.n {
+                let (row, column) = (i / peak.n, i % peak.n);
+                let solid_angle = f64::from(peak.texel_solid_angle(row, column));
+                let flux = f64::from(peak.texels[i][0]) * solid_angle;
+                add(&mut found, flux, peak.texel_direction(row, column));
+            }
+            for k in 0..4 {
+                // Rounding of directions, and the curvature of a window 0.02 rad wide.
+                let difference = (found[k] - exact[k]).abs() / exact[3];
+                assert!(difference < 3e-6, "{start}: {found:?} {exact:?}");
+            }
+        }
+    }
+}
