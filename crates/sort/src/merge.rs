@@ -69,11 +69,27 @@ impl Merger {
             losers: vec![0; runs.len()],
             winner: 0,
         };
-        for run in 0..runs.len() {
-            merger.load_code(file, run)?;
-        }
-        merger.play_all();
+        merger.start(file)?;
         Ok(merger)
+    }
+
+    /// Starts again at the first surfel of `runs`, the ones given to [`Merger::new`], in the memory
+    /// already held.
+    pub fn restart(&mut self, file: &TempFile, runs: &[Range<u64>]) -> Result<(), SortError> {
+        for (cursor, run) in self.cursors.iter_mut().zip(runs) {
+            cursor.left = run.clone();
+            cursor.buffer.clear();
+            cursor.next = 0;
+        }
+        self.start(file)
+    }
+
+    fn start(&mut self, file: &TempFile) -> Result<(), SortError> {
+        for run in 0..self.cursors.len() {
+            self.load_code(file, run)?;
+        }
+        self.play_all();
+        Ok(())
     }
 
     /// Appends the next surfels to `out`, at most `max`; `false` when there are no more.

@@ -7,7 +7,7 @@ use std::ops::Range;
 /// Neighbors looked for.
 pub(crate) const NEIGHBORS: usize = 12;
 /// The cell searched around holds at least this many surfels.
-const CELL_SURFELS: usize = 4;
+const CELL_SURFELS: usize = 6;
 /// Surfels looked at in one cell; of fuller ones, evenly spread.
 const CELL_SURFELS_MAX: usize = 128;
 /// Times the search is repeated in cells twice as large.

@@ -158,7 +158,7 @@ impl Sorter<'_> {
         }
         let merger = Merger::new(&spill.file, &spill.runs, &self.plan, self.summary.root)?;
         let Spill { file, runs } = spill;
-        let runs = Runs { file, runs, plan: self.plan, merger, record: None };
+        let runs = Runs { file, runs, merger, record: None };
         Ok(SortedSurfels::new(self.summary, Store::Runs(Box::new(runs)), &self.options.temp_dir))
     }
 
@@ -417,6 +417,59 @@ mod tests {
                 total - sort_time,
                 4.0 / total.as_secs_f64()
             );
+        }
+    }
+
+    /// Random surfels made as they are read.
+    struct Generator {
+        left: usize,
+        seed: u64,
+        missing_sizes: bool,
+    }
+
+    impl SurfelSource for Generator {
+        fn read_chunk(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
+            let now = self.left.min(4096);
+            let size = if self.missing_sizes { 0.0 } else { 1.0 };
+            out.extend((0..now).map(|_| {
+                let mut next = || random(&mut self.seed) * 100.0;
+                Surfel::new(Vec3::new(next(), next(), next()), Vec3::Z, size, size)
+            }));
+            self.left -= now;
+            Ok(self.left > 0)
+        }
+    }
+
+    #[cfg(target_os = "linux")]
+    fn memory_bytes(key: &str) -> u64 {
+        let status = std::fs::read_to_string("/proc/self/status").unwrap();
+        let line = status.lines().find(|line| line.starts_with(key)).unwrap();
+        line.split_ascii_whitespace().nth(1).unwrap().parse::<u64>().unwrap() * 1024
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    #[ignore = "measures the whole process; run alone with --ignored --nocapture"]
+    fn peak_memory_stays_within_the_budget() {
+        let run = |count, budget| {
+            let mut source = Generator { left: count, seed: 1, missing_sizes: true };
+            let options = options(budget, 0);
+            let sorted = sort_surfels(&mut source, &options).unwrap();
+            let estimate = crate::EstimateOptions::default();
+            let (mut sorted, _) = crate::estimate_surfels(sorted, &estimate, &options).unwrap();
+            let mut chunk = Vec::new();
+            while sorted.read_chunk(&mut chunk).unwrap() {
+                chunk.clear();
+            }
+        };
+        // Pages of the program itself are not the sort's.
+        run(10_000, crate::BUDGET_BYTES_MIN);
+        let before = memory_bytes("VmRSS");
+        for budget in [16 << 20, 64 << 20, 256 << 20] {
+            run(4_000_000, budget);
+            let held = memory_bytes("VmHWM") - before;
+            println!("budget {budget}, peak {held}");
+            assert!(held <= budget);
         }
     }
 }

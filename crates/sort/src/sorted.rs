@@ -1,7 +1,6 @@
 //! The sorted stream.
 
 use crate::merge::Merger;
-use crate::options::Plan;
 use crate::run_buffer::RunBuffer;
 use crate::temp_file::TempFile;
 use crate::{SortError, SurfelSummary};
@@ -41,7 +40,6 @@ pub(crate) enum Store {
 pub(crate) struct Runs {
     pub file: TempFile,
     pub runs: Vec<Range<u64>>,
-    pub plan: Plan,
     pub merger: Merger,
     /// Where the order is written down as it is first read.
     pub record: Option<TempFile>,
@@ -115,8 +113,7 @@ impl SortedSurfels {
             }
             runs.record = Some(TempFile::create(&self.temp_dir)?);
         }
-        runs.merger = Merger::new(&runs.file, &runs.runs, &runs.plan, self.summary.root)?;
-        Ok(())
+        runs.merger.restart(&runs.file, &runs.runs)
     }
 
     /// Makes reading again cheap: runs on disk are written in their final order to one more
