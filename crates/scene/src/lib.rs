@@ -4,18 +4,27 @@
 //! This crate must never know how surfels are stored or how light is gathered.
 #![forbid(unsafe_code)]
 
+mod camera;
 mod decode_texture;
 mod dice;
 mod error;
+mod hide;
 mod model;
+mod procedural;
 mod read_gltf;
 mod read_obj;
 mod read_ply_mesh;
 mod read_scene;
 mod texture;
 
+pub use camera::{CameraView, Frustum};
 pub use dice::{DiceError, DiceOptions, DicedScene, Spacing, TwoSided};
 pub use error::SceneError;
+pub use hide::{
+    Coverage, Disk, Fragment, HideError, HideOptions, Micropolygon, PixelWindow, VisibleSet,
+    VisibleSurfels, hide, hide_disks,
+};
 pub use model::{Camera, Instance, Material, Mesh, Scene};
+pub use procedural::{ProceduralError, ProceduralScene, ProceduralSpec, procedural_scene};
 pub use read_scene::read_scene;
 pub use texture::Texture;
