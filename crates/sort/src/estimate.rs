@@ -372,10 +372,11 @@ mod tests {
         let line: Vec<_> = (0..50).map(|i| bare(Vec3::X * i as f32)).collect();
         let pair = [bare(Vec3::ZERO), bare(Vec3::ONE)];
         for cloud in [&line[..], &pair, &pair[..1], &[bare(Vec3::ONE); 5000]] {
-            let (_, report, estimated) = estimate(cloud, 64 << 20, 1);
+            let (summary, report, estimated) = estimate(cloud, 64 << 20, 1);
             assert_eq!(report.rough, cloud.len() as u64);
             for surfel in estimated {
-                assert!(surfel.is_isotropic() && surfel.radius > 0.0 && surfel.area > 0.0);
+                assert!(surfel.is_isotropic() && surfel.area > 0.0);
+                assert!(surfel.radius > summary.root.edge / (1u32 << 22) as f32);
                 assert!(surfel.radius.is_finite() && surfel.area.is_finite());
             }
         }
@@ -384,10 +385,12 @@ mod tests {
     #[test]
     fn given_sizes_and_normals_stay() {
         let given = Surfel::new(Vec3::ONE, Vec3::X, 2.0, 3.0);
-        let surfels = [given, bare(Vec3::ZERO), bare(Vec3::X)];
+        let sized = Surfel { radius: 5.0, area: 7.0, ..bare(Vec3::Y) };
+        let surfels = [given, bare(Vec3::ZERO), bare(Vec3::X), sized];
         let (_, report, estimated) = estimate(&surfels, 64 << 20, 1);
         assert!(estimated.contains(&given));
-        assert_eq!(report, EstimateReport { sizes: 2, normals: 0, rough: 2 });
+        assert!(estimated.iter().any(|s| (s.radius, s.area) == (5.0, 7.0)));
+        assert_eq!(report, EstimateReport { sizes: 2, normals: 3, rough: 0 });
     }
 
     #[test]
