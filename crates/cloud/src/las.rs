@@ -10,6 +10,8 @@ use std::path::{Path, PathBuf};
 
 /// Points that tell how a file encodes color and intensity.
 const PROBE_POINTS: u64 = 65_536;
+/// Bytes of points decoded at once.
+const DECODE_BYTES_MAX: usize = 4 << 20;
 /// Albedo of the brightest percentile where only intensity is known.
 const INTENSITY_ALBEDO: f32 = 0.9;
 
@@ -89,7 +91,9 @@ impl LasPoints {
 
     /// Decodes the next points into `self.points`, at most `count`; returns their number.
     fn decode(&mut self, count: u64) -> Result<u64, CloudError> {
-        let count = count.min(self.point_count - self.next);
+        // Points may be padded up to 64 KiB each.
+        let fitting = DECODE_BYTES_MAX / self.points.record_len().max(1);
+        let count = count.min(self.point_count - self.next).min(fitting as u64);
         self.decoder.read(self.points.resize_for(count as usize), || {
             format!("point {} of {}", self.next, self.point_count)
         })?;
