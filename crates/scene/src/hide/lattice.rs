@@ -3,8 +3,8 @@
 use super::project::Projector;
 use pbgi_math::DVec3;
 
-/// Longest side over shortest a cell may get, in steps of two, beyond what its edges' projected
-/// lengths ask for: 4:1.
+/// How many levels an axis may be coarsened where both axes fall together on the screen: cells get
+/// up to 4 times as long as the shading rate asks for.
 const STRETCH_LEVELS_MAX: i32 = 2;
 
 /// Finest level: cells are 2⁻³⁰ of the triangle.
@@ -32,7 +32,7 @@ pub(super) struct Lattice {
     /// Vertex at the origin: the one whose angle is nearest to 90°.
     pub corner: usize,
     axes: [DVec3; 2],
-    /// Longest and shortest level worth having, see [`Lattice::new`].
+    /// See [`Projector::pixels_per_unit`].
     pixels_per_unit: [f64; 2],
 }
 

@@ -46,6 +46,15 @@ mod tests {
                 let mean = pattern.offsets.iter().map(|o| o[axis]).sum::<f64>() / f64::from(count);
                 assert!((mean - 0.5).abs() < 1e-12);
             }
+            // Each box of 1/a × a/count holds one sample.
+            for a in [1, 2, 4, 8].into_iter().filter(|a| *a <= count) {
+                let of = |o: &[f64; 2]| {
+                    ((o[0] * f64::from(a)) as u32, (o[1] * f64::from(count / a)) as u32)
+                };
+                let boxes: std::collections::HashSet<(u32, u32)> =
+                    pattern.offsets.iter().map(of).collect();
+                assert_eq!(boxes.len(), count as usize, "{count} {a}");
+            }
         }
         assert!(SamplePattern::new(2).is_none() && SamplePattern::new(0).is_none());
     }
