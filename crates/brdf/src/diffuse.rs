@@ -230,7 +230,7 @@ mod tests {
         let mut raster = CubeRaster::new(&table, true);
         raster.clear(Vec3::Y);
         // A wall over everything with x > 0, shining with radiance 3.
-        let wall = Splat { front_sr: 100.0, back_sr: 0.0, radiance: [3.0; 3] };
+        let wall = Splat { front: 1.0, radiance: [3.0; 3], far: 100.0, ..Splat::default() };
         raster.draw_box(Vec3::new(0.0, 1.0, -50.0), Vec3::new(50.0, 1.0, 50.0), &wall);
         raster.draw_box(Vec3::new(1.0, 0.0, -50.0), Vec3::new(1.0, 50.0, 50.0), &wall);
         raster.draw_box(Vec3::new(0.0, 0.0, 1.0), Vec3::new(50.0, 50.0, 1.0), &wall);

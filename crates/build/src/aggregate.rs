@@ -137,7 +137,7 @@ fn reduce_lobes(lobes: &mut Vec<LobeSum>) {
 /// What a node knows of its surfels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NodeAggregate {
-    /// Tight box of the area-true disks.
+    /// Tight box of the area-true squares, see [`area_true_half_edge`].
     pub bounds: Aabb,
     /// How far covering disks reach out of `bounds` at most.
     pub cover_margin: f32,
@@ -160,7 +160,7 @@ impl NodeAggregate {
         let mut cover_margin = 0f32;
         for surfel in surfels {
             bounds = bounds.union(area_true_box(surfel));
-            cover_margin = cover_margin.max(surfel.radius - area_true_radius(surfel));
+            cover_margin = cover_margin.max(surfel.radius - area_true_half_edge(surfel));
         }
         let mut lobes = surfels.iter().map(LobeSum::from_surfel).collect();
         reduce_lobes(&mut lobes);
@@ -192,19 +192,22 @@ impl NodeAggregate {
     }
 }
 
-/// Radius of the disk whose area is the surfel's: `√(a/π)`; of half the area for an isotropic one,
+/// Half the edge of the square whose area is the surfel's: `√a / 2`; of half the area for an isotropic one,
 /// which shows that much to every direction.
-fn area_true_radius(surfel: &Surfel) -> f32 {
+///
+/// Boxes are made of squares, not disks, since squares tile: the box of a piece of axis-aligned wall
+/// has exactly that piece's area, so its footprint is opaque and meets its neighbors'.
+fn area_true_half_edge(surfel: &Surfel) -> f32 {
     let shown = if surfel.is_isotropic() { 0.5 * surfel.area } else { surfel.area };
-    (shown * std::f32::consts::FRAC_1_PI).sqrt()
+    0.5 * shown.sqrt()
 }
 
 fn area_true_box(surfel: &Surfel) -> Aabb {
-    let (center, radius) = (surfel.center(), area_true_radius(surfel));
+    let (center, half_edge) = (surfel.center(), area_true_half_edge(surfel));
     if surfel.is_isotropic() {
-        Aabb { min: center, max: center }.inflated(radius)
+        Aabb { min: center, max: center }.inflated(half_edge)
     } else {
-        Aabb::from_disk(center, surfel.normal(), radius)
+        Aabb::from_disk(center, surfel.normal(), half_edge)
     }
 }
 

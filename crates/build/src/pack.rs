@@ -60,7 +60,8 @@ impl Group {
         let mut fields = GroupFields {
             bounds,
             split,
-            cover_margin: aggregate.cover_margin,
+            // Half a step of the boxes' rounding.
+            cover_margin: aggregate.cover_margin + bounds.extent().max_element() / 510.0,
             octants: 0,
             leaves: 0,
         };

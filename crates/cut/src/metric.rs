@@ -1,7 +1,7 @@
 //! When a node is small enough to stand for its surfels, and what it then shows.
 
 use pbgi_format::{Lobe, SurfelLayout};
-use pbgi_math::{Vec3, sphere_sin2_for_solid_angle};
+use pbgi_math::{Vec3, box_silhouette, sphere_sin2_for_solid_angle};
 
 /// How large a node may be to be taken as one.
 pub trait Threshold {
@@ -41,38 +41,96 @@ pub struct Cluster {
     pub low: Vec3,
     /// Largest corner.
     pub high: Vec3,
-    /// Solid angle of surfaces facing the receiver: `A(d)/d²`.
-    pub front_sr: f32,
-    /// Solid angle of surfaces turned away that block.
-    pub back_sr: f32,
+    /// Area of the box's silhouette, seen in parallel from the receiver's direction.
+    pub silhouette: f32,
+    /// Share of the silhouette that surfaces facing the receiver cover.
+    pub front: f32,
+    /// Share that surfaces turned away cover, where they block.
+    pub back: f32,
+    /// Whether most of what it shows is the surface of solid things rather than sheets.
+    pub solid: bool,
     /// Mean radiance of the facing surfaces: `I(d)/A(d)`.
     pub radiance: [f32; 3],
+    /// Distance of the bounding sphere's nearest point.
+    pub near: f32,
+    /// Distance of its farthest point.
+    pub far: f32,
 }
+
+/// Largest `h/|V|` of a lobe that counts as flat.
+const FLAT_WIDTH: f32 = 0.2;
 
 impl Cluster {
     /// Evaluates a node's lobes toward the receiver.
+    ///
+    /// Opaque surfaces enclose things: the areas their fronts show do not overlap, and add up. Sheets (front-only surfels back to
+    /// back: leaves, cloth) do overlap, unless they are one flat piece: only the largest flat lobe is
+    /// taken as it is and the rest hides itself as a cloud of random pieces does, covering `1 − e^−τ`
+    /// where its area is `τ` times the box's silhouette.
     #[inline(always)]
     pub(crate) fn from_lobes(low: Vec3, high: Vec3, lobes: &[u8], layout: &SurfelLayout) -> Self {
-        let center = (low + high) * 0.5;
-        let distance2 = center.length_squared();
-        let toward_receiver = center * (-1.0 / distance2.sqrt());
-        let (mut front, mut back, mut intensity) = (0.0, 0.0, [0.0; 3]);
+        let (center, half) = ((low + high) * 0.5, (high - low) * 0.5);
+        let distance = center.length();
+        let toward_receiver = center * (-1.0 / distance);
+        let mut sum = LobeSums::default();
         for stored in lobes.chunks_exact(Lobe::stored_bytes(layout.channels)) {
             let lobe = Lobe::read(stored, layout.channels, layout.area, layout.radiance_scale);
-            let area = lobe.front_area(toward_receiver);
-            front += area;
-            back += lobe.back_area(toward_receiver);
-            for (sum, radiance) in intensity.iter_mut().zip(lobe.radiance) {
-                *sum += area * radiance;
-            }
+            sum.add(&lobe, toward_receiver);
         }
-        let inverse = if front > 0.0 { 1.0 / front } else { 0.0 };
-        Self {
+        let shown = sum.solid + sum.sheets;
+        let inverse = if shown > 0.0 { 1.0 / shown } else { 0.0 };
+        let radius = half.length();
+        let mut cluster = Self {
             low,
             high,
-            front_sr: front / distance2,
-            back_sr: back / distance2,
-            radiance: intensity.map(|i| i * inverse),
+            silhouette: box_silhouette(half, toward_receiver),
+            solid: sum.solid + sum.back >= sum.sheets,
+            radiance: sum.intensity.map(|i| i * inverse),
+            near: distance - radius,
+            far: distance + radius,
+            ..Self::default()
+        };
+        let silhouette = cluster.silhouette.max(1e-30);
+        let mut front = shown;
+        if sum.sheets > sum.flat_sheet {
+            let first = (sum.solid + sum.flat_sheet).min(silhouette);
+            let hidden = (-(sum.sheets - sum.flat_sheet) / silhouette).exp();
+            front = first + (silhouette - first) * (1.0 - hidden);
+        }
+        cluster.front = (front / silhouette).min(1.0);
+        cluster.back = (sum.back / silhouette).min(1.0);
+        cluster
+    }
+}
+
+/// Sums over a node's lobes, seen from one direction.
+#[derive(Default)]
+struct LobeSums {
+    /// Front area of lobes that block both sides, and of sheets.
+    solid: f32,
+    sheets: f32,
+    back: f32,
+    intensity: [f32; 3],
+    /// Largest front area of a flat sheet.
+    flat_sheet: f32,
+}
+
+impl LobeSums {
+    #[inline(always)]
+    fn add(&mut self, lobe: &Lobe, toward_receiver: Vec3) {
+        let front = lobe.front_area(toward_receiver);
+        let back = lobe.back_area(toward_receiver);
+        if lobe.blocks_back {
+            self.solid += front;
+        } else {
+            self.sheets += front;
+            if lobe.width * lobe.width < FLAT_WIDTH * FLAT_WIDTH * lobe.vector.length_squared() {
+                self.flat_sheet = self.flat_sheet.max(front);
+            }
+        }
+        self.back += back;
+        for (sum, radiance) in self.intensity.iter_mut().zip(lobe.radiance) {
+            *sum += front * radiance;
         }
     }
 }

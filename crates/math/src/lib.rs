@@ -10,6 +10,7 @@ mod morton;
 mod octahedral;
 mod rgbe;
 mod sh;
+mod silhouette;
 mod solid_angle;
 
 pub use bounds::{Aabb, Cone};
@@ -20,6 +21,7 @@ pub use morton::{MORTON_AXIS_BITS, MortonCode, RootCube};
 pub use octahedral::{decode_octahedral, encode_octahedral};
 pub use rgbe::SharedExponent;
 pub use sh::{SH_COUNT, Sh9, clamped_cosine_sh, evaluate_sh_basis};
+pub use silhouette::box_silhouette;
 pub use solid_angle::{disk_solid_angle, sphere_sin2_for_solid_angle, sphere_solid_angle};
 
 /// Relative luminance of linear Rec. 709 RGB.

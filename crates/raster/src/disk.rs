@@ -1,6 +1,6 @@
 //! Near disks: intersected with the directions of each texel.
 
-use crate::cube::{CubeRaster, LANES};
+use crate::cube::{CubeRaster, Ink, LANES};
 use crate::footprint::project_box;
 use pbgi_math::{Aabb, CubeFace, Vec3};
 
@@ -37,6 +37,10 @@ impl CubeRaster {
             return;
         }
         let (front, back) = if facing { (1.0, 0.0) } else { (0.0, 1.0) };
+        let distance = disk.center.length();
+        let (near, far) = (distance - disk.radius, distance + disk.radius);
+        let whole = 1.0;
+        let ink = Ink { front, back, whole, radiance: *radiance, near, far };
         let aabb = Aabb::from_disk(disk.center, disk.normal, disk.radius);
         if aabb.contains(Vec3::ZERO) {
             // The receiver is within the box: any face may see the disk.
@@ -46,8 +50,7 @@ impl CubeRaster {
                     height,
                     face,
                     ((0, self.edge() - 1), (0, self.edge() - 1)),
-                    (front, back),
-                    radiance,
+                    &ink,
                     distance_min,
                 );
             }
@@ -56,28 +59,18 @@ impl CubeRaster {
         let (rectangles, count) = project_box(aabb.min, aabb.max);
         for r in &rectangles[..count] {
             let range = self.texel_range(r);
-            self.draw_disk_on(
-                disk,
-                height,
-                CubeFace(r.face),
-                range,
-                (front, back),
-                radiance,
-                distance_min,
-            );
+            self.draw_disk_on(disk, height, CubeFace(r.face), range, &ink, distance_min);
         }
     }
 
     #[inline(always)]
-    #[expect(clippy::too_many_arguments, reason = "one kernel, called in two places")]
     fn draw_disk_on(
         &mut self,
         disk: &Disk,
         height: f32,
         face: CubeFace,
         (columns, rows): ((usize, usize), (usize, usize)),
-        (front, back): (f32, f32),
-        radiance: &[f32; 3],
+        ink: &Ink,
         distance_min: f32,
     ) {
         let n = self.edge();
@@ -116,7 +109,7 @@ impl CubeRaster {
                     }
                 }
                 // Lanes beyond the row's end would wrap into the padding only.
-                self.add_chunk(row_index, chunk, &weights, front, back, radiance);
+                self.add_chunk(row_index, chunk, &weights, ink);
             }
         }
     }

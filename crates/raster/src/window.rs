@@ -20,8 +20,8 @@ pub struct Window {
 /// Coverage of a [`Window`]'s texels, composited front to back as in [`crate::CubeRaster`].
 #[derive(Clone, Debug)]
 pub struct WindowRaster {
-    front: Vec<f32>,
-    back: Vec<f32>,
+    covered: Vec<f32>,
+    unmatched: Vec<f32>,
     n: usize,
     half_width: f32,
     open_count: usize,
@@ -29,7 +29,7 @@ pub struct WindowRaster {
 
 impl Default for WindowRaster {
     fn default() -> Self {
-        Self { front: Vec::new(), back: Vec::new(), n: 0, half_width: 0.0, open_count: 0 }
+        Self { covered: Vec::new(), unmatched: Vec::new(), n: 0, half_width: 0.0, open_count: 0 }
     }
 }
 
@@ -39,10 +39,10 @@ impl WindowRaster {
     pub fn clear(&mut self, window: &Window) {
         self.n = window.n;
         self.half_width = window.half_width;
-        self.front.clear();
-        self.front.resize(window.n * window.n, 0.0);
-        self.back.clear();
-        self.back.resize(window.n * window.n, 0.0);
+        self.covered.clear();
+        self.covered.resize(window.n * window.n, 0.0);
+        self.unmatched.clear();
+        self.unmatched.resize(window.n * window.n, 0.0);
         self.open_count = window.n * window.n;
     }
 
@@ -57,8 +57,7 @@ impl WindowRaster {
     #[must_use]
     #[inline(always)]
     pub fn openness(&self, row: usize, column: usize) -> f32 {
-        let index = row * self.n + column;
-        1.0 - larger(self.front[index], self.back[index])
+        1.0 - self.covered[row * self.n + column]
     }
 
     /// Rectangle of the box `low..=high` (relative to the receiver) in window coordinates:
@@ -113,27 +112,24 @@ impl WindowRaster {
         (r0..=r1).any(|row| (c0..=c1).any(|column| self.openness(row, column) > 0.0))
     }
 
-    /// Draws a cluster in the box `low..=high` that fills `front_sr` and `back_sr` steradians.
+    /// Draws a cluster in the box `low..=high` that covers the shares `front` and `back` of the box's
+    /// silhouette, whose area seen from the receiver is `silhouette`.
     #[inline(always)]
     pub fn draw_box(
         &mut self,
         window: &Window,
         low: Vec3,
         high: Vec3,
-        front_sr: f32,
-        back_sr: f32,
+        silhouette: f32,
+        (front, back): (f32, f32),
     ) {
         let Some([x0, x1, y0, y1]) = self.project_box(window, low, high) else { return };
-        // The part of the box outside the window takes its share of the solid angle with it.
-        let (center, half) = ((low + high) * 0.5, (high - low) * 0.5);
-        let frame = &window.frame;
-        let z = larger(center.dot(frame.normal), 1e-9);
-        let reach = |axis: Vec3| 2.0 * axis.abs().dot(half) / z;
-        let whole = larger(reach(frame.tangent) * reach(frame.bitangent), (x1 - x0) * (y1 - y0));
-        if !(whole > 0.0) {
-            return;
-        }
-        let (front, back) = (smaller(front_sr / whole, 1.0), smaller(back_sr / whole, 1.0));
+        // Share of the rectangle around the box, turned to the window, that the silhouette fills.
+        let half = (high - low) * 0.5;
+        let reach = |axis: Vec3| 2.0 * axis.abs().dot(half);
+        let rectangle = reach(window.frame.tangent) * reach(window.frame.bitangent);
+        let fill = smaller(silhouette / larger(rectangle, 1e-30), 1.0);
+        let (front, back) = (front * fill, back * fill);
         let scale = self.n as f32 / (2.0 * self.half_width);
         let texel = |x: f32| (x + self.half_width) * scale;
         let (u0, u1, v0, v1) = (texel(x0), texel(x1), texel(y0), texel(y1));
@@ -193,10 +189,11 @@ impl WindowRaster {
 
     #[inline(always)]
     fn add(&mut self, index: usize, front: f32, back: f32) {
-        let before = larger(self.front[index], self.back[index]);
-        self.front[index] = smaller(self.front[index] + front, 1.0);
-        self.back[index] = smaller(self.back[index] + back, 1.0);
-        let after = larger(self.front[index], self.back[index]);
+        let before = self.covered[index];
+        let surplus = back - (self.unmatched[index] + front);
+        self.unmatched[index] = larger(-surplus, 0.0);
+        let after = smaller(before + front + larger(surplus, 0.0), 1.0);
+        self.covered[index] = after;
         if before < 1.0 && after >= 1.0 {
             self.open_count -= 1;
         }
@@ -244,8 +241,10 @@ mod tests {
         raster.clear(&window);
         let center = window.frame.normal * 100.0 + window.frame.tangent * 0.3;
         let half = Vec3::splat(0.2);
-        let solid_angle = 0.04 / 1e4;
-        raster.draw_box(&window, center - half, center + half, solid_angle, 0.0);
+        let d = window.frame.normal.abs();
+        let silhouette = 4.0 * 0.04 * (d.x + d.y + d.z);
+        let solid_angle = 0.5 * silhouette / 1e4;
+        raster.draw_box(&window, center - half, center + half, silhouette, (0.5, 0.0));
         let texel = (0.02f32 / 8.0).powi(2);
         let drawn = (1.0 - open_share(&raster)) * 64.0 * texel;
         assert!((drawn / solid_angle - 1.0).abs() < 0.02, "{drawn} {solid_angle}");

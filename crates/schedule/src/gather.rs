@@ -8,12 +8,12 @@ use pbgi_cut::{
     UniformThreshold, pick_cut,
 };
 use pbgi_format::LeafSurfel;
-use pbgi_math::{Aabb, Vec3};
+use pbgi_math::{Aabb, Vec3, box_silhouette};
 use pbgi_raster::{
     CubeRaster, CubeRasterTable, Disk, SimdLevel, Splat, Window, WindowRaster, run_wide,
 };
 use pbgi_store::{Reader, StoreError};
-use std::f32::consts::{FRAC_1_PI, PI};
+use std::f32::consts::PI;
 
 /// Quality of a gather.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -135,6 +135,16 @@ impl<'a> Gatherer<'a> {
             &mut self.scratch,
             &mut self.stats,
         )?;
+        if std::env::var("DBG").is_ok() {
+            for f in 0..6 {
+                for r in 0..8 {
+                    let v: Vec<String> = (0..8)
+                        .map(|c| format!("{:5.2}", self.raster.openness((f * 8 + r) * 8 + c)))
+                        .collect();
+                    println!("face {f} {}", v.join(" "));
+                }
+            }
+        }
         let base = self.light.map(|l| &l.base);
         let diffuse =
             convolve_diffuse(&self.raster, &self.table, base, receiver.normal, self.settings.up);
@@ -216,32 +226,32 @@ fn least_distance(surfel: &LeafSurfel, normal: Vec3) -> f32 {
     if own { OWN_SURFACE_RADII * surfel.radius } else { 0.0 }
 }
 
-/// A surfel as the cluster it is by itself: box of its area-true disk, exact projected area.
+/// A surfel as the cluster it is by itself: box of its area-true square, exact projected area.
 #[inline(always)]
 fn surfel_cluster(seen: &SurfelSeen) -> Cluster {
     let surfel = &seen.surfel;
-    let inverse2 = 1.0 / seen.distance2;
-    if surfel.isotropic {
-        let radius = (0.5 * surfel.area * FRAC_1_PI).sqrt();
-        return Cluster {
-            low: surfel.center - radius,
-            high: surfel.center + radius,
-            front_sr: 0.5 * surfel.area * inverse2,
-            back_sr: 0.0,
-            radiance: surfel.radiance,
-        };
-    }
-    let radius = (surfel.area * FRAC_1_PI).sqrt();
-    let cosine = -surfel.normal.dot(surfel.center) * inverse2.sqrt();
-    let shown = surfel.area * cosine.abs() * inverse2;
-    let facing = cosine > 0.0;
-    let aabb = Aabb::from_disk(surfel.center, surfel.normal, radius);
+    let distance = seen.distance2.sqrt();
+    let shown_area = if surfel.isotropic { 0.5 * surfel.area } else { surfel.area };
+    let half_edge = 0.5 * shown_area.sqrt();
+    let toward_receiver = surfel.center * (-1.0 / distance);
+    let (half, shown) = if surfel.isotropic {
+        (Vec3::splat(half_edge), shown_area)
+    } else {
+        let half = Aabb::from_disk(Vec3::ZERO, surfel.normal, half_edge).max;
+        (half, shown_area * surfel.normal.dot(toward_receiver))
+    };
+    let silhouette = box_silhouette(half, toward_receiver);
+    let opacity = (shown.abs() / silhouette.max(1e-30)).min(1.0);
     Cluster {
-        low: aabb.min,
-        high: aabb.max,
-        front_sr: if facing { shown } else { 0.0 },
-        back_sr: if facing || surfel.front_only { 0.0 } else { shown },
+        low: surfel.center - half,
+        high: surfel.center + half,
+        silhouette,
+        front: if shown > 0.0 { opacity } else { 0.0 },
+        back: if shown > 0.0 || surfel.front_only { 0.0 } else { opacity },
+        solid: !surfel.front_only && !surfel.isotropic,
         radiance: surfel.radiance,
+        near: distance - surfel.radius,
+        far: distance + surfel.radius,
     }
 }
 
@@ -272,9 +282,12 @@ impl CutVisitor for CubeVisitor<'_> {
     #[inline(always)]
     fn take_cluster(&mut self, cluster: &Cluster) {
         let splat = Splat {
-            front_sr: cluster.front_sr,
-            back_sr: cluster.back_sr,
+            front: cluster.front,
+            back: cluster.back,
+            solid: cluster.solid,
             radiance: cluster.radiance,
+            near: cluster.near,
+            far: cluster.far,
         };
         self.raster.draw_box(cluster.low, cluster.high, &splat);
     }
@@ -309,8 +322,8 @@ impl CutVisitor for WindowVisitor<'_> {
 
     #[inline(always)]
     fn take_cluster(&mut self, cluster: &Cluster) {
-        let Cluster { low, high, front_sr, back_sr, .. } = *cluster;
-        self.raster.draw_box(self.window, low, high, front_sr, back_sr);
+        let Cluster { low, high, silhouette, front, back, .. } = *cluster;
+        self.raster.draw_box(self.window, low, high, silhouette, (front, back));
     }
 
     #[inline(always)]

@@ -62,7 +62,7 @@ struct Visit {
     page: PageId,
     offset: u32,
     depth: usize,
-    stored: Option<pbgi_math::Aabb>,
+    stored: Option<(pbgi_math::Aabb, f32)>,
 }
 
 struct Walk<'a> {
@@ -136,8 +136,9 @@ impl<'a> Walk<'a> {
         {
             return Err(self.invalid(page, "group: box", "not finite or empty", "a box"));
         }
-        if let Some(stored) = visit.stored {
-            let slack = 1e-5 * stored.extent().max_element();
+        if let Some((stored, fields_extent)) = visit.stored {
+            // Stored boxes are rounded to the nearest step of their group's box.
+            let slack = 0.51 / 255.0 * fields_extent;
             if !stored.inflated(slack).contains_box(&fields.bounds) {
                 return Err(self.invalid(page, "group: box", "outside its parent's", "inside"));
             }
@@ -182,7 +183,7 @@ impl<'a> Walk<'a> {
                     page: next_page,
                     offset: next_offset,
                     depth: visit.depth + 1,
-                    stored: Some(group.child_bounds(index)),
+                    stored: Some((group.child_bounds(index), fields.bounds.extent().max_element())),
                 });
             }
             index += 1;

@@ -1,7 +1,8 @@
 //! Analytic scenes made of surfels.
 
-use pbgi_cloud::Surfel;
-use pbgi_math::Vec3;
+use pbgi_cloud::{Surfel, SurfelFlags};
+use pbgi_math::{Frame, Vec3};
+use std::f32::consts::SQRT_2;
 
 /// Directions spread evenly over the sphere (a Fibonacci spiral).
 pub fn sphere_directions(count: u32) -> impl Iterator<Item = Vec3> {
@@ -39,34 +40,49 @@ pub fn closed_room(half: Vec3, per_edge: usize, radiance: f32) -> Vec<Surfel> {
     surfels
 }
 
-/// Surfels of random place, normal, size and radiance in a cube of edge 2 around the origin, from a
-/// fixed seed.
+/// Small closed boxes and double-sided cards of random place, orientation and radiance in a cube of
+/// edge 2 around the origin, from a fixed seed: one square surfel for each side of a box and of a card.
 #[must_use]
-pub fn random_soup(count: usize, radius: f32, seed: u64) -> Vec<Surfel> {
-    let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
-    let mut unit = move || {
-        // SplitMix64 (Steele, Lea, Flood 2014).
-        state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = state;
+pub fn random_objects(count: usize, half_edge: f32, seed: u64) -> Vec<Surfel> {
+    let mut random = Random(seed);
+    let mut surfels = Vec::with_capacity(4 * count);
+    for i in 0..count {
+        let center = Vec3::new(random.unit(), random.unit(), random.unit()) * 2.0 - 1.0;
+        let z = 2.0 * random.unit() - 1.0;
+        let (sin, cos) = (random.unit() * std::f32::consts::TAU).sin_cos();
+        let r = (1.0 - z * z).max(0.0).sqrt();
+        let frame = Frame::from_normal(Vec3::new(r * cos, r * sin, z).normalize());
+        let half = half_edge * (0.5 + random.unit());
+        let radiance = [random.unit() * 4.0, random.unit(), 0.3];
+        let mut add = |normal: Vec3, offset: f32, flags: SurfelFlags| {
+            surfels.push(
+                Surfel::new(center + normal * offset, normal, half * SQRT_2, 4.0 * half * half)
+                    .with_radiance(radiance)
+                    .with_flags(flags),
+            );
+        };
+        if i % 2 == 0 {
+            for axis in [frame.tangent, frame.bitangent, frame.normal] {
+                add(axis, half, SurfelFlags::default());
+                add(-axis, half, SurfelFlags::default());
+            }
+        } else {
+            add(frame.normal, 0.0, SurfelFlags::FRONT_ONLY);
+            add(-frame.normal, 0.0, SurfelFlags::FRONT_ONLY);
+        }
+    }
+    surfels
+}
+
+/// SplitMix64 (Steele, Lea, Flood 2014).
+struct Random(u64);
+
+impl Random {
+    fn unit(&mut self) -> f32 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
         z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
         ((z ^ (z >> 31)) >> 40) as f32 / (1u64 << 24) as f32
-    };
-    (0..count)
-        .map(|_| {
-            let center = Vec3::new(unit(), unit(), unit()) * 2.0 - 1.0;
-            let z = 2.0 * unit() - 1.0;
-            let (sin, cos) = (unit() * std::f32::consts::TAU).sin_cos();
-            let r = (1.0 - z * z).max(0.0).sqrt();
-            let radius = radius * (0.5 + unit());
-            // The disk covers a square of the same half-diagonal, as a micropolygon's does.
-            Surfel::new(
-                center,
-                Vec3::new(r * cos, r * sin, z).normalize(),
-                radius,
-                2.0 * radius * radius,
-            )
-            .with_radiance([unit() * 4.0, unit(), 0.3])
-        })
-        .collect()
+    }
 }
