@@ -1,2 +1,58 @@
-//! Checks.
-fn main() {}
+//! Chores of the workspace: `cargo xtask tidy`, `cargo xtask bless`, `cargo xtask ci`.
+#![forbid(unsafe_code)]
+
+mod bless;
+mod ci;
+mod crate_roots;
+mod edges;
+mod layout_lock;
+mod text;
+mod workspace;
+
+use std::process::ExitCode;
+use workspace::Workspace;
+
+const USAGE: &str = "\
+Usage: cargo xtask COMMAND
+
+  tidy            check crate edges, crate roots, texts and the layout lock (seconds)
+  bless layout    record the layout of today's crates/format in docs/format.md
+  bless golden    rewrite the golden octree file and its dump in docs/format.md
+  ci              run every check, as .ci/run does (minutes)
+";
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let result = Workspace::find().and_then(|workspace| match words[..] {
+        ["tidy"] => tidy(&workspace),
+        ["bless", "layout"] => bless::bless_layout(&workspace),
+        ["bless", "golden"] => bless::bless_golden(&workspace),
+        ["ci"] => ci::run(&workspace),
+        ["-h" | "--help"] => {
+            print!("{USAGE}");
+            Ok(())
+        }
+        _ => Err(USAGE.to_owned()),
+    });
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(message) => {
+            eprintln!("{}", message.trim_end());
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Runs every quick check and reports all that is wrong at once.
+fn tidy(workspace: &Workspace) -> Result<(), String> {
+    let mut faults = edges::check(workspace)?;
+    faults.extend(crate_roots::check(workspace)?);
+    faults.extend(text::check(workspace)?);
+    faults.extend(layout_lock::check(workspace)?);
+    if faults.is_empty() {
+        println!("tidy: edges, crate roots, texts and layout lock are in order");
+        return Ok(());
+    }
+    Err(format!("{}\ntidy: {} to mend", faults.join("\n"), faults.len()))
+}

@@ -1,0 +1,72 @@
+//! Where the workspace lies and which files belong to it.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// The workspace this program was built in.
+pub struct Workspace {
+    root: PathBuf,
+}
+
+impl Workspace {
+    /// The folder above this package.
+    pub fn find() -> Result<Self, String> {
+        let package = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let root = package.parent().ok_or("xtask lies in no workspace")?;
+        Ok(Self { root: root.to_owned() })
+    }
+
+    /// The folder of the workspace.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// Text of a file, given relative to the root.
+    pub fn read(&self, path: &str) -> Result<String, String> {
+        std::fs::read_to_string(self.root.join(path)).map_err(|e| format!("{path}: {e}"))
+    }
+
+    /// Replaces the text of a file, given relative to the root.
+    pub fn write(&self, path: &str, text: &str) -> Result<(), String> {
+        std::fs::write(self.root.join(path), text).map_err(|e| format!("{path}: {e}"))
+    }
+
+    /// Names of the folders in `crates/`, sorted.
+    pub fn crates(&self) -> Result<Vec<String>, String> {
+        let folder = self.root.join("crates");
+        let entries = std::fs::read_dir(folder).map_err(|e| format!("crates: {e}"))?;
+        let mut names: Vec<String> = entries
+            .filter_map(Result::ok)
+            .filter(|entry| entry.path().join("Cargo.toml").is_file())
+            .map(|entry| entry.file_name().to_string_lossy().into_owned())
+            .collect();
+        names.sort();
+        Ok(names)
+    }
+
+    /// Files that are tracked or could be, relative to the root, sorted.
+    pub fn files(&self) -> Result<Vec<String>, String> {
+        let output = Command::new("git")
+            .args(["ls-files", "--cached", "--others", "--exclude-standard", "-z"])
+            .current_dir(&self.root)
+            .output()
+            .map_err(|e| format!("git ls-files: {e}"))?;
+        if !output.status.success() {
+            return Err(format!("git ls-files: {}", String::from_utf8_lossy(&output.stderr)));
+        }
+        let listed = String::from_utf8_lossy(&output.stdout).into_owned();
+        let mut files: Vec<String> = listed
+            .split('\0')
+            .filter(|path| !path.is_empty() && self.root.join(path).is_file())
+            .map(str::to_owned)
+            .collect();
+        files.sort();
+        Ok(files)
+    }
+
+    /// Files of `files` below `folder` that are Rust sources.
+    pub fn sources<'a>(files: &'a [String], folder: &str) -> Vec<&'a str> {
+        let inside = |path: &&str| path.starts_with(folder) && path.ends_with(".rs");
+        files.iter().map(String::as_str).filter(inside).collect()
+    }
+}
