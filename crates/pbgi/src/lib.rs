@@ -1,1 +1,16 @@
-//! Under construction.
+//! Point-based global illumination for clouds larger than memory: the facade most programs need.
+//!
+//! [`bake`] turns meshes and point clouds into one octree file of lit surfels. Everything the tools
+//! use is re-exported here, so that a program needs this crate only. The facade joins the engine's crates and adds
+//! what programs share: errors with exit codes, progress, limits. It must never contain an algorithm
+//! of the engine itself.
+#![forbid(unsafe_code)]
+
+pub mod cli;
+mod error;
+mod memory;
+mod progress;
+
+pub use error::PbgiError;
+pub use memory::{peak_resident_bytes, resident_bytes};
+pub use progress::{Phase, Progress, ProgressMode, Verbosity};

@@ -9,6 +9,7 @@ mod octree;
 mod source;
 mod stats;
 mod verify;
+mod walk;
 
 pub use cache::{Page, PageRef};
 pub use error::StoreError;
@@ -16,3 +17,4 @@ pub use octree::{Octree, OpenOptions, PIN_BYTES_PER_READER_MIN, Reader};
 pub use source::Backend;
 pub use stats::{CacheStats, ReaderStats};
 pub use verify::{LevelCounts, VerifyReport};
+pub use walk::{for_each_leaf, try_for_each_leaf};

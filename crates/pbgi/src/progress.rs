@@ -1,0 +1,381 @@
+//! Progress of long work on standard error: phases, rates, estimates of what is left.
+
+use std::io::{IsTerminal, Write};
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// How progress is shown.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum ProgressMode {
+    /// A bar on a terminal, plain lines elsewhere.
+    #[default]
+    Auto,
+    /// One line, redrawn in place.
+    Bar,
+    /// A line every second at most.
+    Plain,
+    /// A JSON object per line, every second at most.
+    Json,
+    /// Nothing.
+    None,
+}
+
+/// How much a program tells.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Verbosity {
+    /// Warnings and errors only.
+    Quiet,
+    /// The settings in effect, too.
+    #[default]
+    Normal,
+    /// Everything.
+    Verbose,
+}
+
+/// Progress of one run, written to standard error. Shared by all threads.
+pub struct Progress {
+    mode: ProgressMode,
+    verbosity: Verbosity,
+    phase_count: AtomicU32,
+    started: AtomicU32,
+    /// Whether a bar stands on the current line; held while writing.
+    bar: Mutex<bool>,
+}
+
+impl Progress {
+    /// Progress of a run in `phase_count` phases.
+    #[must_use]
+    pub fn new(mode: ProgressMode, verbosity: Verbosity, phase_count: u32) -> Self {
+        let mode = match mode {
+            _ if verbosity == Verbosity::Quiet => ProgressMode::None,
+            ProgressMode::Auto if std::io::stderr().is_terminal() => ProgressMode::Bar,
+            ProgressMode::Auto => ProgressMode::Plain,
+            mode => mode,
+        };
+        Self {
+            mode,
+            verbosity,
+            phase_count: AtomicU32::new(phase_count),
+            started: AtomicU32::new(0),
+            bar: Mutex::new(false),
+        }
+    }
+
+    /// Shows nothing but warnings.
+    #[must_use]
+    pub fn silent() -> Self {
+        Self::new(ProgressMode::None, Verbosity::Quiet, 0)
+    }
+
+    /// Changes the number of phases, where it becomes known late.
+    pub fn set_phase_count(&self, phase_count: u32) {
+        self.phase_count.store(phase_count, Ordering::Relaxed);
+    }
+
+    /// Starts the next phase, called `name`: `total` things called `unit`, where known. The phase
+    /// ends when the returned value is dropped.
+    pub fn start_phase(
+        &self,
+        name: &'static str,
+        unit: &'static str,
+        total: Option<u64>,
+    ) -> Phase<'_> {
+        let index = self.started.fetch_add(1, Ordering::Relaxed) + 1;
+        self.phase_count.fetch_max(index, Ordering::Relaxed);
+        let start = Instant::now();
+        let total = AtomicU64::new(total.unwrap_or(UNKNOWN));
+        let phase = Phase {
+            progress: self,
+            index,
+            name,
+            unit,
+            start,
+            total,
+            done: AtomicU64::new(0),
+            next_ms: AtomicU64::new(match self.mode {
+                ProgressMode::Bar => 100,
+                _ => 1000,
+            }),
+        };
+        if self.mode == ProgressMode::Bar {
+            phase.write_line(false);
+        }
+        phase
+    }
+
+    /// Tells a setting in effect or a fact, unless quiet.
+    pub fn note(&self, text: &str) {
+        self.tell(Verbosity::Normal, text);
+    }
+
+    /// Tells a detail, if verbose.
+    pub fn detail(&self, text: &str) {
+        self.tell(Verbosity::Verbose, text);
+    }
+
+    /// Tells what the user should know even when quiet.
+    pub fn warn(&self, text: &str) {
+        self.tell(Verbosity::Quiet, &format!("warning: {text}"));
+    }
+
+    fn tell(&self, least: Verbosity, text: &str) {
+        if self.verbosity >= least {
+            self.write(&format!("{text}\n"), false);
+        }
+    }
+
+    /// Writes `text`, past a bar that may stand there; `is_bar` if `text` is one.
+    fn write(&self, text: &str, is_bar: bool) {
+        let mut bar = self.bar.lock().unwrap_or_else(PoisonError::into_inner);
+        let clear = if *bar { "\r\x1b[K" } else { "" };
+        // There is nobody left to tell if this fails.
+        let _ = std::io::stderr().lock().write_all(format!("{clear}{text}").as_bytes());
+        let _ = std::io::stderr().lock().flush();
+        *bar = is_bar;
+    }
+}
+
+const UNKNOWN: u64 = u64::MAX;
+
+/// A phase under way; dropping it ends it.
+pub struct Phase<'a> {
+    progress: &'a Progress,
+    index: u32,
+    name: &'static str,
+    unit: &'static str,
+    start: Instant,
+    total: AtomicU64,
+    done: AtomicU64,
+    /// Milliseconds after the start when the next line is due.
+    next_ms: AtomicU64,
+}
+
+impl Phase<'_> {
+    /// States that `done` things are done by now. Cheap; may be called from any thread, also out of
+    /// order.
+    pub fn set_done(&self, done: u64) {
+        self.done.fetch_max(done, Ordering::Relaxed);
+        if self.progress.mode == ProgressMode::None {
+            return;
+        }
+        let now = self.start.elapsed().as_millis() as u64;
+        let due = self.next_ms.load(Ordering::Relaxed);
+        let pause = if self.progress.mode == ProgressMode::Bar { 100 } else { 1000 };
+        let is_mine = now >= due
+            && self
+                .next_ms
+                .compare_exchange(due, now + pause, Ordering::Relaxed, Ordering::Relaxed)
+                .is_ok();
+        if is_mine {
+            self.write_line(false);
+        }
+    }
+
+    /// States how many things there are, where that becomes known late.
+    pub fn set_total(&self, total: u64) {
+        self.total.store(total, Ordering::Relaxed);
+    }
+
+    /// Time since the phase started.
+    #[must_use]
+    pub fn elapsed(&self) -> Duration {
+        self.start.elapsed()
+    }
+
+    fn write_line(&self, is_final: bool) {
+        let state = PhaseState {
+            index: self.index,
+            count: self.progress.phase_count.load(Ordering::Relaxed),
+            name: self.name,
+            unit: self.unit,
+            done: self.done.load(Ordering::Relaxed),
+            total: Some(self.total.load(Ordering::Relaxed)).filter(|&t| t != UNKNOWN),
+            seconds: self.start.elapsed().as_secs_f64(),
+            is_final,
+        };
+        match self.progress.mode {
+            ProgressMode::Bar => {
+                let end = if is_final { "\n" } else { "" };
+                self.progress.write(&format!("{}{end}", state.to_line()), !is_final);
+            }
+            ProgressMode::Plain => self.progress.write(&format!("{}\n", state.to_line()), false),
+            ProgressMode::Json => self.progress.write(&format!("{}\n", state.to_json()), false),
+            ProgressMode::Auto | ProgressMode::None => {}
+        }
+    }
+}
+
+impl Drop for Phase<'_> {
+    fn drop(&mut self) {
+        self.write_line(true);
+    }
+}
+
+/// What a line says.
+struct PhaseState {
+    index: u32,
+    count: u32,
+    name: &'static str,
+    unit: &'static str,
+    done: u64,
+    total: Option<u64>,
+    seconds: f64,
+    is_final: bool,
+}
+
+impl PhaseState {
+    fn rate(&self) -> f64 {
+        self.done as f64 / self.seconds.max(1e-3)
+    }
+
+    /// Seconds left at the rate so far.
+    fn eta_seconds(&self) -> Option<f64> {
+        let left = self.total?.saturating_sub(self.done);
+        (self.done > 0).then(|| left as f64 / self.rate())
+    }
+
+    /// Share done, 0 to 100, rounded down.
+    fn percent(&self) -> Option<u64> {
+        self.total.filter(|&t| t > 0).map(|t| self.done.min(t) * 100 / t)
+    }
+
+    fn to_line(&self) -> String {
+        let Self { index, count, name, unit, .. } = self;
+        let mut line = format!("[{index}/{count}] {name}");
+        if self.done > 0 {
+            let (done, rate) = (format_count(self.done as f64), format_count(self.rate()));
+            line += &format!("  {done} {unit}  {rate}/s");
+        }
+        if self.is_final {
+            return line + &format!("  {}", format_seconds(self.seconds));
+        }
+        if let Some(percent) = self.percent() {
+            line += &format!("  {percent}%");
+        }
+        if let Some(eta) = self.eta_seconds() {
+            line += &format!("  eta {}", format_seconds(eta));
+        }
+        line
+    }
+
+    fn to_json(&self) -> serde_json::Value {
+        serde_json::json!({
+            "phase": self.index,
+            "phase_count": self.count,
+            "name": self.name,
+            "unit": self.unit,
+            "done": self.done,
+            "total": self.total,
+            "percent": self.percent(),
+            "per_second": self.rate(),
+            "eta_seconds": self.eta_seconds(),
+            "seconds": self.seconds,
+            "finished": self.is_final,
+        })
+    }
+}
+
+/// A count with three digits and a decimal suffix: `1.23 M`.
+#[must_use]
+pub fn format_count(count: f64) -> String {
+    for (scale, suffix) in [(1e9, " G"), (1e6, " M"), (1e3, " k")] {
+        // 999.5 and more would round to four digits below.
+        if count >= scale * 0.9995 {
+            return format!("{}{suffix}", format_digits(count / scale));
+        }
+    }
+    if count.fract() == 0.0 { format!("{count:.0}") } else { format_digits(count) }
+}
+
+fn format_digits(value: f64) -> String {
+    match value {
+        v if v < 9.995 => format!("{v:.2}"),
+        v if v < 99.95 => format!("{v:.1}"),
+        v => format!("{v:.0}"),
+    }
+}
+
+/// A number of bytes with a binary suffix: `512 MiB`.
+#[must_use]
+pub fn format_bytes(bytes: u64) -> String {
+    for (shift, suffix) in [(40, "TiB"), (30, "GiB"), (20, "MiB"), (10, "KiB")] {
+        if bytes >= 1 << shift {
+            let value = bytes as f64 / (1u64 << shift) as f64;
+            let text =
+                if value.fract() == 0.0 { format!("{value:.0}") } else { format_digits(value) };
+            return format!("{text} {suffix}");
+        }
+    }
+    format!("{bytes} bytes")
+}
+
+/// A duration: `0.35 s`, `12 s`, `3 min 20 s`, `2 h 5 min`.
+#[must_use]
+pub fn format_seconds(seconds: f64) -> String {
+    let whole = seconds.round().max(0.0) as u64;
+    match whole {
+        0..10 => format!("{seconds:.2} s"),
+        10..60 => format!("{seconds:.1} s"),
+        60..3600 => format!("{} min {} s", whole / 60, whole % 60),
+        _ => format!("{} h {} min", whole / 3600, whole % 3600 / 60),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn state() -> PhaseState {
+        PhaseState {
+            index: 2,
+            count: 4,
+            name: "sort",
+            unit: "surfels",
+            done: 1_200_000,
+            total: Some(2_400_000),
+            seconds: 0.5,
+            is_final: false,
+        }
+    }
+
+    #[test]
+    fn lines_state_phase_count_rate_and_what_is_left() {
+        assert_eq!(state().to_line(), "[2/4] sort  1.20 M surfels  2.40 M/s  50%  eta 0.50 s");
+        let unknown = PhaseState { total: None, ..state() };
+        assert_eq!(unknown.to_line(), "[2/4] sort  1.20 M surfels  2.40 M/s");
+        let ended = PhaseState { is_final: true, ..state() };
+        assert_eq!(ended.to_line(), "[2/4] sort  1.20 M surfels  2.40 M/s  0.50 s");
+        let begun = PhaseState { done: 0, ..state() };
+        assert_eq!(begun.to_line(), "[2/4] sort  0%");
+    }
+
+    #[test]
+    fn json_lines_hold_numbers() {
+        let json = state().to_json();
+        assert_eq!(json["percent"], 50);
+        assert_eq!(json["total"], 2_400_000);
+        let unknown = PhaseState { total: None, ..state() }.to_json();
+        assert!(unknown["eta_seconds"].is_null() && unknown["percent"].is_null());
+    }
+
+    #[test]
+    fn numbers_have_three_digits() {
+        let texts =
+            [0.0, 7.0, 999.0, 999.6, 1234.0, 999_499.0, 999_999.0, 2.5e10].map(format_count);
+        assert_eq!(texts, ["0", "7", "999", "1.00 k", "1.23 k", "999 k", "1.00 M", "25.0 G"]);
+        let texts = [0, 1023, 1024, 1_500_000, 1 << 30].map(format_bytes);
+        assert_eq!(texts, ["0 bytes", "1023 bytes", "1 KiB", "1.43 MiB", "1 GiB"]);
+        let texts = [0.351, 12.34, 200.0, 7500.0].map(format_seconds);
+        assert_eq!(texts, ["0.35 s", "12.3 s", "3 min 20 s", "2 h 5 min"]);
+    }
+
+    #[test]
+    fn more_phases_than_announced_are_counted() {
+        let progress = Progress::silent();
+        for _ in 0..3 {
+            progress.start_phase("x", "things", None).set_done(1);
+        }
+        assert_eq!(progress.phase_count.load(Ordering::Relaxed), 3);
+    }
+}

@@ -1,0 +1,137 @@
+//! All surfels of a file in the order of the Morton curve.
+
+use crate::error::StoreError;
+use crate::octree::Reader;
+use pbgi_format::{ChildLink, FormatError, GroupView, LeafSurfel, NodePage, PageId, SurfelPage};
+use pbgi_math::Aabb;
+
+/// What is still to be visited.
+enum Visit {
+    Group { page: PageId, offset: u32, depth: u32 },
+    Leaf { node_page: PageId, page: Option<PageId>, first: u32, count: u32, bounds: Aabb },
+}
+
+/// Calls `visit` for every leaf, in the order of the Morton curve: with the number of surfels
+/// before it and its surfels, decoded, relative to the file's origin.
+///
+/// Holds one path of the tree; reads each page once where the cache holds a path's pages.
+///
+/// # Errors
+///
+/// If a page cannot be read or contradicts itself. Leaves visited before that stay visited.
+pub fn for_each_leaf(
+    reader: &mut Reader<'_>,
+    mut visit: impl FnMut(u64, &[LeafSurfel]),
+) -> Result<(), StoreError> {
+    try_for_each_leaf(reader, |first, surfels| {
+        visit(first, surfels);
+        Ok(())
+    })
+}
+
+/// [`for_each_leaf`] that `visit` can end with an error of its own.
+///
+/// # Errors
+///
+/// That of `visit`, or if a page cannot be read or contradicts itself.
+pub fn try_for_each_leaf<E: From<StoreError>>(
+    reader: &mut Reader<'_>,
+    mut visit: impl FnMut(u64, &[LeafSurfel]) -> Result<(), E>,
+) -> Result<(), E> {
+    let header = *reader.octree().header();
+    let mut surfels = Vec::new();
+    let (mut groups, mut done) = (0, 0);
+    let mut stack =
+        vec![Visit::Group { page: header.root_page, offset: header.root_offset, depth: 0 }];
+    while let Some(next) = stack.pop() {
+        match next {
+            Visit::Group { page, offset, depth } => {
+                // Links of a damaged file may form a cycle.
+                if depth >= header.depth || groups > header.node_count {
+                    return Err(invalid(reader, page, "tree: depth", depth, header.depth).into());
+                }
+                groups += 1;
+                push_children(reader, page, offset, depth, &mut stack)?;
+            }
+            Visit::Leaf { node_page, page, first, count, bounds } => {
+                let Some(page) = page else {
+                    let place = "leaf: surfel page";
+                    return Err(invalid(reader, node_page, place, "none", "a page").into());
+                };
+                read_leaf(reader, page, (first, count), &bounds, &mut surfels)?;
+                visit(done, &surfels)?;
+                done += surfels.len() as u64;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Puts the children of a group on the stack, the first octant on top.
+fn push_children(
+    reader: &mut Reader<'_>,
+    page: PageId,
+    offset: u32,
+    depth: u32,
+    stack: &mut Vec<Visit>,
+) -> Result<(), StoreError> {
+    let channels = reader.octree().header().channels;
+    let pinned = reader.pin_page(page)?;
+    let view = NodePage::new(pinned.bytes()).map_err(|e| reader.invalid_page(page, e))?;
+    let group = GroupView::new(pinned.bytes(), view.groups_end(), offset, channels)
+        .map_err(|e| reader.invalid_page(page, e))?;
+    let fields = group.fields();
+    let octants = (0..8).filter(|octant| fields.octants & (1 << octant) != 0);
+    let start = stack.len();
+    for (index, octant) in octants.enumerate() {
+        let child = match group.link(index, fields.leaves & (1 << octant) != 0) {
+            ChildLink::Leaf { first, count } => {
+                let surfel_page = view.fields().surfel_page;
+                let bounds = fields.bounds;
+                Visit::Leaf { node_page: page, page: surfel_page, first, count, bounds }
+            }
+            ChildLink::Group(offset) => Visit::Group { page, offset, depth: depth + 1 },
+            ChildLink::External(link) => {
+                let Some(link) = view.external_link(link) else {
+                    return Err(invalid(reader, page, "link: index", link, "an external link"));
+                };
+                Visit::Group { page: link.page, offset: link.offset, depth: depth + 1 }
+            }
+        };
+        stack.push(child);
+    }
+    stack[start..].reverse();
+    Ok(())
+}
+
+/// Decodes the surfels `first..first + count` of a page.
+fn read_leaf(
+    reader: &mut Reader<'_>,
+    page: PageId,
+    (first, count): (u32, u32),
+    bounds: &Aabb,
+    out: &mut Vec<LeafSurfel>,
+) -> Result<(), StoreError> {
+    let layout = reader.octree().layout();
+    let pinned = reader.pin_page(page)?;
+    let stride = layout.stored_bytes();
+    let view = SurfelPage::new(pinned.bytes(), stride).map_err(|e| reader.invalid_page(page, e))?;
+    let Some(bytes) = view.surfels(first, count) else {
+        let place = "leaf: surfels";
+        return Err(invalid(reader, page, place, view.surfel_count(), "those of its leaves"));
+    };
+    out.clear();
+    out.extend(bytes.chunks_exact(stride).map(|stored| layout.read(stored, bounds)));
+    Ok(())
+}
+
+fn invalid(
+    reader: &Reader<'_>,
+    page: PageId,
+    place: &'static str,
+    found: impl ToString,
+    expected: impl ToString,
+) -> StoreError {
+    let (found, expected) = (found.to_string(), expected.to_string());
+    reader.invalid_page(page, FormatError { place, found, expected })
+}
