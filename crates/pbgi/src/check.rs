@@ -1,0 +1,176 @@
+//! The measured error of a result: a sample of its receivers gathered again, exhaustively.
+
+use pbgi_image::{ErrorMetrics, MetricsError, compare};
+use pbgi_schedule::{Receiver, Shading};
+use serde::Serialize;
+use std::collections::BinaryHeap;
+
+/// A receiver of the sample with the result that is to be judged.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Sampled {
+    hash: u64,
+    pub index: u64,
+    pub receiver: Receiver,
+    pub shading: Shading,
+}
+
+impl PartialEq for Sampled {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+
+impl Eq for Sampled {}
+
+impl PartialOrd for Sampled {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Sampled {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        (self.hash, self.index).cmp(&(other.hash, other.index))
+    }
+}
+
+/// Keeps the receivers whose indices have the smallest hashes: an even sample of a stream of
+/// unknown length that depends on the indices only, not on how the stream is cut.
+#[derive(Debug, Default)]
+pub(crate) struct CheckSample {
+    wanted: usize,
+    kept: BinaryHeap<Sampled>,
+}
+
+impl CheckSample {
+    /// A sample of at most `wanted` receivers.
+    pub fn new(wanted: usize) -> Self {
+        Self { wanted, kept: BinaryHeap::with_capacity(wanted.min(1 << 20) + 1) }
+    }
+
+    /// Offers a receiver; `index` counts all receivers offered in the order of the result.
+    pub fn offer(&mut self, index: u64, receiver: &Receiver, shading: &Shading) {
+        if self.wanted == 0 {
+            return;
+        }
+        let hash = mix(index);
+        if self.kept.len() == self.wanted && self.kept.peek().is_some_and(|last| last.hash < hash) {
+            return;
+        }
+        self.kept.push(Sampled { hash, index, receiver: *receiver, shading: *shading });
+        if self.kept.len() > self.wanted {
+            self.kept.pop();
+        }
+    }
+
+    /// The sample in the order of the receivers.
+    pub fn into_sorted(self) -> Vec<Sampled> {
+        let mut sample = self.kept.into_vec();
+        sample.sort_unstable_by_key(|s| s.index);
+        sample
+    }
+}
+
+/// The finalizer of SplitMix64 (Steele, Lea and Flood 2014).
+fn mix(index: u64) -> u64 {
+    let z = index.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
+
+/// Error of a result against the exhaustive gather of the same receivers (solid angle 0, same
+/// raster): the error of the cut. See [`pbgi_image::ErrorMetrics`] for the measures.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CheckReport {
+    /// Receivers gathered again.
+    pub receivers: u64,
+    /// What was compared: `irradiance`, or `AO` where there is no light.
+    pub quantity: &'static str,
+    /// Relative root mean square error; 0.01 is one percent.
+    pub rrmse: f64,
+    /// Mean error relative to the mean.
+    pub bias: f64,
+    /// 95th percentile of the relative error.
+    pub p95: f64,
+    /// 99th percentile of the relative error.
+    pub p99: f64,
+    /// Largest relative error.
+    pub max: f64,
+    /// Mean entries of the exhaustive cuts.
+    pub cut_mean: f64,
+    /// Seconds the exhaustive gathers took.
+    pub seconds: f64,
+}
+
+impl CheckReport {
+    /// Compares `sample` with its `references`: irradiance of all channels where anything shines,
+    /// ambient occlusion otherwise.
+    ///
+    /// # Errors
+    ///
+    /// If the references are all dark, or a value is not finite.
+    pub(crate) fn new(sample: &[Sampled], references: &[Shading]) -> Result<Self, MetricsError> {
+        let lit = references.iter().any(|s| s.irradiance().iter().any(|c| *c > 0.0));
+        let values = |shading: &Shading| match lit {
+            true => shading.irradiance().to_vec(),
+            false => vec![shading.ambient_occlusion],
+        };
+        let results: Vec<f32> = sample.iter().flat_map(|s| values(&s.shading)).collect();
+        let truths: Vec<f32> = references.iter().flat_map(values).collect();
+        let ErrorMetrics { rrmse, bias, p95, p99, max, .. } = compare(&results, &truths)?;
+        let cuts: f64 = references.iter().map(|s| f64::from(s.cut_size)).sum();
+        Ok(Self {
+            receivers: sample.len() as u64,
+            quantity: if lit { "irradiance" } else { "AO" },
+            rrmse,
+            bias,
+            p95,
+            p99,
+            max,
+            cut_mean: cuts / references.len().max(1) as f64,
+            seconds: 0.0,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample(count: u64, wanted: usize) -> Vec<Sampled> {
+        let mut sample = CheckSample::new(wanted);
+        for index in 0..count {
+            sample.offer(index, &Receiver::default(), &Shading::default());
+        }
+        sample.into_sorted()
+    }
+
+    #[test]
+    fn samples_have_the_wanted_size_and_are_spread() {
+        assert_eq!(sample(10, 0).len(), 0);
+        assert_eq!(sample(10, 20).len(), 10);
+        let spread = sample(100_000, 200);
+        assert_eq!(spread.len(), 200);
+        for tenth in 0..10 {
+            let here = spread.iter().filter(|s| s.index / 10_000 == tenth).count();
+            // Binomial: 20 ± 4.2; five deviations.
+            assert!((0..=41).contains(&here) && here > 2, "{tenth}: {here}");
+        }
+    }
+
+    #[test]
+    fn errors_are_those_of_irradiance_or_of_occlusion() {
+        let lit = Shading { surface_irradiance: [1.0; 3], ..Shading::default() };
+        let off = Shading { surface_irradiance: [1.1; 3], ..Shading::default() };
+        let sampled =
+            |shading| Sampled { hash: 0, index: 0, receiver: Receiver::default(), shading };
+        let report = CheckReport::new(&[sampled(off)], &[lit]).unwrap();
+        assert_eq!(report.quantity, "irradiance");
+        assert!((report.bias - 0.1).abs() < 1e-6);
+        let open = Shading { ambient_occlusion: 0.5, ..Shading::default() };
+        let report = CheckReport::new(&[sampled(open)], &[open]).unwrap();
+        assert_eq!((report.quantity, report.rrmse), ("AO", 0.0));
+        assert!(CheckReport::new(&[sampled(off)], &[Shading::default()]).is_err());
+    }
+}

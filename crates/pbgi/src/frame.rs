@@ -1,0 +1,344 @@
+//! A picture: what a camera sees, shaded, as an image with many channels.
+
+use crate::camera_choice::{CameraChoice, CameraContext};
+use crate::memory_split::MemorySplit;
+use crate::output::FrameImage;
+use crate::shade::{Session, ShadeReport, ShadeSettings, read_header, up_axis};
+use crate::splat::hide_surfels;
+use crate::{PbgiError, Progress};
+use pbgi_format::Header;
+use pbgi_image::{
+    Aov, AovNames, AttributeValue, Image, ToneMap, auto_exposure, write_exr, write_png,
+};
+use pbgi_math::{DVec3, Vec3};
+use pbgi_scene::{CameraView, Coverage, HideOptions, Micropolygon, PixelWindow, Scene, hide};
+use pbgi_schedule::{Receiver, Shading};
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+/// What picture to make.
+#[derive(Clone, Debug)]
+pub struct FrameRequest<'a> {
+    /// The octree file that lights and blocks.
+    pub octree: &'a Path,
+    /// The scene whose visible surfaces are shaded, in the world coordinates the octree was baked in.
+    /// Without one, the surfels of the octree themselves are drawn and shaded.
+    pub scene: Option<&'a Scene>,
+    /// The camera.
+    pub camera: CameraChoice,
+    /// Pixels along a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Samples per pixel for coverage: 1, 4, 8 or 16.
+    pub samples: u32,
+    /// Wanted area of a micropolygon in pixels.
+    pub shading_rate: f32,
+    /// Channels to make.
+    pub aovs: Vec<Aov>,
+    /// Names of the channels.
+    pub names: AovNames,
+    /// Quality, light and resources.
+    pub settings: ShadeSettings,
+}
+
+/// The quantities a frame can have.
+pub const FRAME_AOVS: [Aov; 10] = [
+    Aov::Beauty,
+    Aov::DiffuseIndirect,
+    Aov::Irradiance,
+    Aov::Occlusion,
+    Aov::SkyVisibility,
+    Aov::BentNormal,
+    Aov::Position,
+    Aov::Normal,
+    Aov::Depth,
+    Aov::Albedo,
+];
+
+/// A shaded picture with what is known of it.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// The channels.
+    pub image: Image,
+    /// Attributes for the EXR file: camera, settings, measured error. They depend on the request only.
+    pub attributes: Vec<(String, AttributeValue)>,
+    /// What shading did.
+    pub report: ShadeReport,
+    /// What the preview shows.
+    preview: Vec<[f32; 3]>,
+    /// Where the preview shows surfaces.
+    covered: Vec<bool>,
+    /// Whether the preview shows light, not just occlusion.
+    is_lit: bool,
+}
+
+impl Frame {
+    /// Writes all channels and attributes as an EXR file, whole or not at all.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be written.
+    pub fn write_exr(&self, path: &Path) -> Result<(), PbgiError> {
+        Ok(write_exr(path, &self.image, &self.attributes)?)
+    }
+
+    /// Writes the beauty as an 8-bit picture with a filmic curve, or ambient occlusion as it is where
+    /// there is no light. `exposure` is in stops; without it, one that suits the surfaces is chosen.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be written.
+    pub fn write_preview(&self, path: &Path, exposure: Option<f32>) -> Result<(), PbgiError> {
+        let (width, height) = (self.image.width, self.image.height);
+        let automatic = || match self.is_lit {
+            true => auto_exposure(&self.preview, Some(&self.covered)),
+            false => 0.0,
+        };
+        let exposure = exposure.unwrap_or_else(automatic);
+        let tone = ToneMap { exposure, filmic: self.is_lit };
+        Ok(write_png(path, width, height, &self.preview, tone)?)
+    }
+}
+
+/// A visible piece of surface: a micropolygon or a surfel. Positions are relative to the frame's
+/// origin.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Piece {
+    pub position: Vec3,
+    /// Unit normal to shade with, toward the camera.
+    pub normal: Vec3,
+    /// Unit normal of its plane.
+    pub plane: Vec3,
+    pub radius: f32,
+    pub albedo: [f32; 3],
+    pub emission: [f32; 3],
+    /// Whether it is the back of a single-sided surface.
+    pub is_back: bool,
+}
+
+impl From<&Micropolygon> for Piece {
+    fn from(m: &Micropolygon) -> Self {
+        Self {
+            position: m.position,
+            normal: m.normal,
+            plane: m.geometric_normal,
+            radius: m.radius,
+            albedo: m.albedo,
+            emission: m.emission,
+            is_back: m.back,
+        }
+    }
+}
+
+/// What a band of the image shows.
+pub(crate) struct Band {
+    pub pieces: Vec<Piece>,
+    pub coverage: Coverage,
+}
+
+/// Makes a picture.
+///
+/// The image does not depend on threads or memory limit. Where the limit does not hold what the whole
+/// image needs at once, it is made in bands of rows.
+///
+/// Both sides of a surface are shaded: the back of a single-sided surface gathers light on the
+/// camera's side, though in the octree it is black. Surfels drawn without a scene face the camera,
+/// unless they are visible from one side only; those without a normal are shaded as if they looked up.
+///
+/// # Errors
+///
+/// If a file cannot be read, is damaged, or a setting is out of range; if nothing is visible and there
+/// is no environment to show instead; on cancellation.
+pub fn shade_frame(
+    request: &FrameRequest<'_>,
+    progress: &Progress,
+    cancel: &AtomicBool,
+) -> Result<Frame, PbgiError> {
+    request.settings.validate()?;
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(request.settings.threads)
+        .build()
+        .map_err(|e| PbgiError::failed(format!("threads cannot be started: {e}")))?;
+    pool.install(|| FrameJob::prepare(request, cancel)?.run(progress))
+}
+
+/// A frame under way.
+struct FrameJob<'a> {
+    request: &'a FrameRequest<'a>,
+    header: Header,
+    session: Session<'a>,
+    view: CameraView,
+    /// World position of the origin of the view's and the pieces' coordinates.
+    origin: DVec3,
+    /// Rows that are made at once.
+    band_rows: u32,
+    cancel: &'a AtomicBool,
+    start: Instant,
+}
+
+/// Rows of a tile of hiding: bands of whole tiles shade nothing twice.
+const TILE_ROWS: u32 = 64;
+
+impl<'a> FrameJob<'a> {
+    fn prepare(request: &'a FrameRequest<'a>, cancel: &'a AtomicBool) -> Result<Self, PbgiError> {
+        let start = Instant::now();
+        let settings = &request.settings;
+        let header = read_header(request.octree)?;
+        let environment =
+            settings.environment.as_ref().map(|e| e.load(header.flags.z_up)).transpose()?;
+        let split = MemorySplit::measure(settings.memory_bytes, settings.threads);
+        let (image, per_row) = frame_bytes(request);
+        let rows = u64::from(request.height.next_multiple_of(TILE_ROWS));
+        let least = image + per_row * u64::from(TILE_ROWS);
+        let split = split.grant(least, image + per_row * rows)?;
+        let band_rows = ((split.frame_bytes - image) / per_row.max(1)).min(rows) as u32;
+        let extra_readers = usize::from(request.scene.is_none());
+        let session =
+            Session::open(request.octree, settings, environment, split, extra_readers, cancel)?;
+        let origin = if request.scene.is_some() { DVec3::ZERO } else { header.origin };
+        let context = CameraContext {
+            scene: request.scene,
+            bounds: request.scene.map_or(header.bounds, Scene::bounds),
+            up: up_axis(&header),
+            aspect: request.width as f32 / request.height.max(1) as f32,
+            origin,
+        };
+        let camera = context.find(&request.camera)?;
+        let view = CameraView { camera, width: request.width, height: request.height };
+        let band_rows = (band_rows / TILE_ROWS * TILE_ROWS).max(TILE_ROWS);
+        Ok(Self { request, header, session, view, origin, band_rows, cancel, start })
+    }
+
+    fn run(mut self, progress: &Progress) -> Result<Frame, PbgiError> {
+        let mut image = FrameImage::new(self.request);
+        let bands = self.request.height.div_ceil(self.band_rows);
+        let mut seen = Seen::default();
+        progress.set_phase_count(2 * bands + u32::from(self.request.settings.check_receivers > 0));
+        for band in 0..bands {
+            if self.cancel.load(Ordering::Relaxed) {
+                return Err(PbgiError::Interrupted);
+            }
+            let y = band * self.band_rows;
+            let height = self.band_rows.min(self.request.height - y);
+            let window = PixelWindow { x: 0, y, width: self.request.width, height };
+            let phase = progress.start_phase("hide", "rows", Some(u64::from(height)));
+            let visible = self.hide(window)?;
+            phase.set_done(u64::from(height));
+            drop(phase);
+            seen.count(&visible);
+            let count = visible.pieces.len() as u64;
+            let phase = progress.start_phase("shade", "receivers", Some(count));
+            let shadings = self.shade(&visible.pieces, &|done| phase.set_done(done))?;
+            drop(phase);
+            let background = self.session.environment.as_ref();
+            image.append(&visible, &shadings, background, &self.view, self.origin);
+        }
+        self.judge(&seen)?;
+        self.finish(image, progress)
+    }
+
+    fn hide(&self, window: PixelWindow) -> Result<Band, PbgiError> {
+        let options = HideOptions {
+            samples: self.request.samples,
+            shading_rate: self.request.shading_rate,
+            window: Some(window),
+        };
+        let Some(scene) = self.request.scene else {
+            let (octree, up) = (&self.session.octree, self.session.up());
+            return hide_surfels(octree, &self.view, &options, up, self.cancel);
+        };
+        let visible = hide(scene, &self.view, &options)?;
+        let pieces = visible.micropolygons.iter().map(Piece::from).collect();
+        Ok(Band { pieces, coverage: visible.coverage })
+    }
+
+    fn shade(
+        &mut self,
+        pieces: &[Piece],
+        advance: &(dyn Fn(u64) + Sync),
+    ) -> Result<Vec<Shading>, PbgiError> {
+        let shift = self.origin - self.header.origin;
+        let receivers: Vec<Receiver> = pieces
+            .iter()
+            .map(|piece| Receiver {
+                position: (piece.position.as_dvec3() + shift).as_vec3(),
+                normal: piece.normal,
+            })
+            .collect();
+        self.session.shade(&receivers, advance)
+    }
+
+    /// Turns pictures of nothing into errors and doubtful ones into warnings.
+    fn judge(&mut self, seen: &Seen) -> Result<(), PbgiError> {
+        let eye = self.view.eye().as_dvec3() + self.origin;
+        let toward = self.view.forward();
+        if seen.covered == 0 {
+            let message = format!(
+                "the camera at {eye} looking along {toward} sees no surface; move it or turn it \
+                 around (everything lies within {:?} to {:?})",
+                (self.header.bounds.min.as_dvec3() + self.header.origin).to_array(),
+                (self.header.bounds.max.as_dvec3() + self.header.origin).to_array(),
+            );
+            if self.session.environment.is_none() {
+                return Err(PbgiError::failed(message));
+            }
+            self.session.warnings.push(message + "; only the environment is shown");
+        } else if seen.backs * 2 > seen.covered {
+            self.session.warnings.push(format!(
+                "{:.0} % of what the camera at {eye} sees are backs of surfaces; it may stand inside \
+                 of an object",
+                100.0 * seen.backs as f64 / seen.covered as f64
+            ));
+        }
+        Ok(())
+    }
+
+    fn finish(self, image: FrameImage, progress: &Progress) -> Result<Frame, PbgiError> {
+        let is_lit = self.session.is_lit();
+        let mut report = self.session.finish(progress)?;
+        report.total_seconds = self.start.elapsed().as_secs_f64();
+        let attributes =
+            crate::output::frame_attributes(self.request, &self.view, self.origin, &report);
+        let (preview, covered) = image.preview(is_lit);
+        let image = image.into_image(&self.request.names);
+        Ok(Frame { image, attributes, report, preview, covered, is_lit })
+    }
+}
+
+/// Samples by what they show.
+#[derive(Default)]
+struct Seen {
+    covered: u64,
+    backs: u64,
+}
+
+impl Seen {
+    fn count(&mut self, band: &Band) {
+        for pixel in 0..band.coverage.pixel_count() {
+            for fragment in band.coverage.fragments(pixel) {
+                let samples = u64::from(fragment.samples);
+                self.covered += samples;
+                let is_back = band.pieces[fragment.index as usize].is_back;
+                self.backs += if is_back { samples } else { 0 };
+            }
+        }
+    }
+}
+
+/// Estimated bytes of the image, and of what a row needs while it is made.
+fn frame_bytes(request: &FrameRequest<'_>) -> (u64, u64) {
+    let width = u64::from(request.width);
+    let pixels = width * u64::from(request.height);
+    let image = pixels * (crate::output::channel_count(&request.aovs) as u64 * 4 + 16);
+    // A piece, its receiver and its result, with what hiding holds while it makes them.
+    let piece = (size_of::<Piece>() + size_of::<Micropolygon>() + size_of::<Shading>() + 40) as f64;
+    let pieces_per_pixel = match request.scene {
+        Some(_) => 0.7 + 1.0 / f64::from(request.shading_rate.clamp(1e-3, 1e3)),
+        None => 1.0,
+    };
+    let depth = if request.scene.is_none() { 12 * u64::from(request.samples) } else { 0 };
+    let per_pixel = (piece * pieces_per_pixel) as u64 + depth + 160;
+    (image, width * per_pixel)
+}

@@ -1,0 +1,217 @@
+//! Shading of points: receivers from a file, or all surfels of an octree, with results as PLY.
+
+use crate::memory_split::MemorySplit;
+use crate::shade::{CHUNK_RECEIVERS, Session, ShadeReport, ShadeSettings, read_header};
+use crate::{PbgiError, Progress};
+use pbgi_cloud::{PlyWriter, ReceiverTable};
+use pbgi_format::LeafSurfel;
+use pbgi_math::{DVec3, Vec3};
+use pbgi_schedule::{Receiver, Shading};
+use pbgi_store::try_for_each_leaf;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+/// Where to gather light.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum PointSource {
+    /// At the vertices of a PLY file with positions and normals; its other columns pass through.
+    File(PathBuf),
+    /// At every surfel of the octree file, in file order. A surfel without a normal looks up.
+    Surfels,
+}
+
+/// Which points to shade.
+#[derive(Clone, Debug)]
+pub struct PointsRequest<'a> {
+    /// The octree file that lights and blocks.
+    pub octree: &'a Path,
+    /// The receivers.
+    pub source: PointSource,
+    /// The PLY file to write.
+    pub target: &'a Path,
+    /// Quality, light and resources.
+    pub settings: ShadeSettings,
+}
+
+/// Columns of every result, before those that pass through.
+const RESULT_COLUMNS: [&str; 14] = [
+    "x",
+    "y",
+    "z",
+    "nx",
+    "ny",
+    "nz",
+    "irradiance_r",
+    "irradiance_g",
+    "irradiance_b",
+    "ao",
+    "sky_visibility",
+    "bent_nx",
+    "bent_ny",
+    "bent_nz",
+];
+
+/// Columns of a surfel that go with it.
+const SURFEL_COLUMNS: [&str; 5] = ["radius", "area", "albedo_r", "albedo_g", "albedo_b"];
+
+/// Bytes held per receiver of a table beyond its columns, and of a chunk beside it.
+const RECEIVER_BYTES: u64 = size_of::<Receiver>() as u64;
+const CHUNK_BYTES: u64 = (CHUNK_RECEIVERS * 4 * (size_of::<Shading>() + 64)) as u64;
+
+/// Shades points and writes position, normal, irradiance in W·m⁻², ambient occlusion (1 is open), sky
+/// visibility and bent normal of each, in the order of the source, as PLY. The file appears when it is
+/// complete. Columns of the input with the name of a result are replaced by it.
+///
+/// # Errors
+///
+/// If a file cannot be read, is damaged, or a setting is out of range; if the result cannot be
+/// written; on cancellation.
+pub fn shade_points(
+    request: &PointsRequest<'_>,
+    progress: &Progress,
+    cancel: &AtomicBool,
+) -> Result<ShadeReport, PbgiError> {
+    let start = Instant::now();
+    let settings = &request.settings;
+    settings.validate()?;
+    let header = read_header(request.octree)?;
+    let environment =
+        settings.environment.as_ref().map(|e| e.load(header.flags.z_up)).transpose()?;
+    let table = match &request.source {
+        PointSource::File(path) => Some(ReceiverTable::read(path)?),
+        PointSource::Surfels => None,
+    };
+    let mut writer = ResultWriter::create(request.target, table.as_ref())?;
+    let count = table.as_ref().map_or(0, |t| t.len() as u64);
+    let frame_bytes = count * RECEIVER_BYTES + CHUNK_BYTES;
+    let split = MemorySplit::measure(settings.memory_bytes, settings.threads)
+        .grant(frame_bytes, frame_bytes)?;
+    let extra_readers = usize::from(table.is_none());
+    let mut session =
+        Session::open(request.octree, settings, environment, split, extra_readers, cancel)?;
+    progress.set_phase_count(1 + u32::from(settings.check_receivers > 0));
+    match &table {
+        Some(table) => shade_table(&mut session, table, header.origin, &mut writer, progress)?,
+        None => shade_surfels(&mut session, header.origin, &mut writer, progress, cancel)?,
+    }
+    let mut report = session.finish(progress)?;
+    writer.writer.finish()?;
+    report.total_seconds = start.elapsed().as_secs_f64();
+    Ok(report)
+}
+
+/// Shades the receivers of a table in the order of its rows.
+fn shade_table(
+    session: &mut Session<'_>,
+    table: &ReceiverTable,
+    origin: DVec3,
+    writer: &mut ResultWriter,
+    progress: &Progress,
+) -> Result<(), PbgiError> {
+    let shift = table.origin - origin;
+    let phase = progress.start_phase("shade", "receivers", Some(table.len() as u64));
+    for first in (0..table.len()).step_by(CHUNK_RECEIVERS) {
+        let rows = first..(first + CHUNK_RECEIVERS).min(table.len());
+        let receivers: Vec<Receiver> = rows
+            .clone()
+            .map(|row| Receiver {
+                position: (table.positions[row].as_dvec3() + shift).as_vec3(),
+                normal: table.normals[row],
+            })
+            .collect();
+        let shadings = session.shade(&receivers, &|done| phase.set_done(first as u64 + done))?;
+        for (row, shading) in rows.zip(&shadings) {
+            let position = (table.positions[row].as_dvec3() + table.origin).as_vec3();
+            writer.start_row(position, table.normals[row], shading);
+            for index in &writer.passed_columns {
+                writer.row.push(table.columns[*index].values[row]);
+            }
+            writer.end_row()?;
+        }
+    }
+    Ok(())
+}
+
+/// Shades every surfel in the order of the file, a chunk at a time.
+fn shade_surfels(
+    session: &mut Session<'_>,
+    origin: DVec3,
+    writer: &mut ResultWriter,
+    progress: &Progress,
+    cancel: &AtomicBool,
+) -> Result<(), PbgiError> {
+    let octree = Arc::clone(&session.octree);
+    let phase = progress.start_phase("shade", "surfels", Some(octree.header().surfel_count));
+    let (up, mut done) = (session.up(), 0);
+    let mut shade = |chunk: &mut Vec<LeafSurfel>| -> Result<(), PbgiError> {
+        let receiver = |s: &LeafSurfel| Receiver {
+            position: s.center,
+            normal: if s.isotropic { up } else { s.normal },
+        };
+        let receivers: Vec<Receiver> = chunk.iter().map(receiver).collect();
+        let shadings = session.shade(&receivers, &|now| phase.set_done(done + now))?;
+        done += chunk.len() as u64;
+        for (surfel, (receiver, shading)) in chunk.iter().zip(receivers.iter().zip(&shadings)) {
+            let position = (surfel.center.as_dvec3() + origin).as_vec3();
+            writer.start_row(position, receiver.normal, shading);
+            writer.row.extend([surfel.radius, surfel.area]);
+            writer.row.extend(surfel.albedo);
+            writer.end_row()?;
+        }
+        chunk.clear();
+        Ok(())
+    };
+    let mut chunk = Vec::with_capacity(CHUNK_RECEIVERS);
+    try_for_each_leaf(&mut octree.reader(), |_, surfels| {
+        if cancel.load(Ordering::Relaxed) {
+            return Err(PbgiError::Interrupted);
+        }
+        // Leaves hold at most 255 surfels: a chunk is full before it has to grow.
+        chunk.extend_from_slice(surfels);
+        if chunk.len() + 255 > CHUNK_RECEIVERS { shade(&mut chunk) } else { Ok(()) }
+    })?;
+    shade(&mut chunk)
+}
+
+/// Rows of results on their way into a PLY file.
+struct ResultWriter {
+    writer: PlyWriter,
+    row: Vec<f32>,
+    /// Columns of the input that pass through.
+    passed_columns: Vec<usize>,
+}
+
+impl ResultWriter {
+    /// Starts the file: results, then columns of `table`, or those of surfels without one.
+    fn create(target: &Path, table: Option<&ReceiverTable>) -> Result<Self, PbgiError> {
+        let mut names: Vec<&str> = RESULT_COLUMNS.to_vec();
+        let mut passed_columns = Vec::new();
+        match table {
+            None => names.extend(SURFEL_COLUMNS),
+            Some(table) => {
+                for (index, column) in table.columns.iter().enumerate() {
+                    if !names.contains(&column.name.as_str()) {
+                        names.push(&column.name);
+                        passed_columns.push(index);
+                    }
+                }
+            }
+        }
+        Ok(Self { writer: PlyWriter::create(target, &names)?, row: Vec::new(), passed_columns })
+    }
+
+    fn start_row(&mut self, position: Vec3, normal: Vec3, shading: &Shading) {
+        self.row.clear();
+        self.row.extend(position.to_array());
+        self.row.extend(normal.to_array());
+        self.row.extend(shading.irradiance());
+        self.row.extend([shading.ambient_occlusion, shading.sky_visibility]);
+        self.row.extend(shading.bent_normal.to_array());
+    }
+
+    fn end_row(&mut self) -> Result<(), PbgiError> {
+        Ok(self.writer.write_rows(&self.row)?)
+    }
+}

@@ -1,0 +1,418 @@
+//! Shading of receivers against an octree file: settings, light, the session that does the work,
+//! and the report of what it did.
+
+use crate::PbgiError;
+use crate::check::{CheckReport, CheckSample};
+use crate::memory_split::MemorySplit;
+use crate::progress::Progress;
+use pbgi_cut::CutStats;
+use pbgi_format::{Channels, Header};
+use pbgi_image::read_environment;
+use pbgi_light::{Environment, EnvironmentOptions, UpAxis};
+use pbgi_math::Vec3;
+use pbgi_schedule::{
+    GatherSettings, PreparedLight, Receiver, ShadeOptions, Shading, shade_receivers,
+};
+use pbgi_store::{Backend, CacheStats, Octree, OpenOptions};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Instant;
+
+/// Receivers handed to the workers at once; what a batch needs beyond its results stays small.
+pub(crate) const CHUNK_RECEIVERS: usize = 1 << 16;
+
+/// Where distant light comes from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum LightSource {
+    /// An equirectangular EXR or Radiance HDR image.
+    File(PathBuf),
+    /// The same radiance from every direction, W·m⁻²·sr⁻¹.
+    Uniform([f32; 3]),
+}
+
+/// Distant light and how it is placed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EnvironmentSpec {
+    /// The light.
+    pub source: LightSource,
+    /// Rotation about the up axis in degrees, counterclockwise seen from above.
+    pub rotate_degrees: f32,
+    /// Factor on its radiance.
+    pub scale: f32,
+}
+
+impl std::fmt::Display for EnvironmentSpec {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match &self.source {
+            LightSource::File(path) => {
+                write!(f, "{}", Path::new(path.file_name().unwrap_or(path.as_os_str())).display())?;
+            }
+            LightSource::Uniform([r, g, b]) => write!(f, "uniform ({r}, {g}, {b})")?,
+        }
+        write!(f, " rotated by {} degrees, scaled by {}", self.rotate_degrees, self.scale)
+    }
+}
+
+impl EnvironmentSpec {
+    /// Light from the image `path`, as it is.
+    #[must_use]
+    pub fn from_file(path: impl Into<PathBuf>) -> Self {
+        Self { source: LightSource::File(path.into()), rotate_degrees: 0.0, scale: 1.0 }
+    }
+
+    /// Reads and prepares the environment. `z_up` is the octree header's flag.
+    ///
+    /// # Errors
+    ///
+    /// If the image cannot be read, is not equirectangular, or has a negative or non-finite pixel; if a
+    /// uniform color, the rotation or the scale is out of range.
+    pub fn load(&self, z_up: bool) -> Result<Environment, PbgiError> {
+        match &self.source {
+            LightSource::Uniform(rgb) => {
+                let radiance = rgb.map(|c| c * self.scale);
+                if radiance.iter().all(|c| c.is_finite() && *c >= 0.0) {
+                    return Ok(Environment::uniform(radiance));
+                }
+                Err(PbgiError::usage(format!(
+                    "the environment's color is ({}, {}, {}), expected finite values of at least 0",
+                    radiance[0], radiance[1], radiance[2]
+                )))
+            }
+            LightSource::File(path) => {
+                let image = read_environment(path)?;
+                let options = EnvironmentOptions {
+                    rotate_degrees: self.rotate_degrees,
+                    scale: self.scale,
+                    up: if z_up { UpAxis::Z } else { UpAxis::Y },
+                    ..EnvironmentOptions::default()
+                };
+                Environment::from_image(image, options)
+                    .map_err(|source| PbgiError::Environment { path: path.clone(), source })
+            }
+        }
+    }
+}
+
+/// Quality, light and resources of a shading run.
+#[derive(Clone, Debug)]
+pub struct ShadeSettings {
+    /// Largest solid angle in steradians of a node that stands for its surfels; 0 takes every surfel.
+    pub solid_angle_sr: f32,
+    /// Texels along a face of the cube raster, 1 to 64.
+    pub raster_edge: usize,
+    /// Surfels nearer than this many of their radii are intersected texel by texel.
+    pub near_radii: f32,
+    /// Surfels that rise less than this share of their radius above a receiver's tangent plane are its
+    /// own surface.
+    pub bias: f32,
+    /// Distant light, if any.
+    pub environment: Option<EnvironmentSpec>,
+    /// Receivers to gather again exhaustively, to measure the error; 0 for none.
+    pub check_receivers: usize,
+    /// Worker threads, at least 1.
+    pub threads: usize,
+    /// Bytes the whole process may take.
+    pub memory_bytes: u64,
+}
+
+impl Default for ShadeSettings {
+    fn default() -> Self {
+        let gather = GatherSettings::default();
+        Self {
+            solid_angle_sr: gather.solid_angle_sr,
+            raster_edge: gather.raster_edge,
+            near_radii: gather.near_radii,
+            bias: gather.bias,
+            environment: None,
+            check_receivers: 0,
+            threads: 1,
+            memory_bytes: 1 << 30,
+        }
+    }
+}
+
+impl ShadeSettings {
+    /// Checks the ranges of all numbers.
+    ///
+    /// # Errors
+    ///
+    /// [`PbgiError`] of misuse, naming the setting.
+    pub fn validate(&self) -> Result<(), PbgiError> {
+        let out_of_range = |what: &str, found: &dyn std::fmt::Display, expected: &str| {
+            Err(PbgiError::usage(format!("{what} is {found}, expected {expected}")))
+        };
+        if !(self.solid_angle_sr >= 0.0 && self.solid_angle_sr.is_finite()) {
+            let expected = "steradians of at least 0, such as 0.03";
+            return out_of_range("the solid angle", &self.solid_angle_sr, expected);
+        }
+        if !(1..=64).contains(&self.raster_edge) {
+            return out_of_range("the raster", &self.raster_edge, "1 to 64 texels along a face");
+        }
+        if !(self.near_radii >= 0.0 && self.near_radii.is_finite()) {
+            return out_of_range("the near distance", &self.near_radii, "radii of at least 0");
+        }
+        if !(0.0..=10.0).contains(&self.bias) {
+            return out_of_range("the bias", &self.bias, "a share of a radius from 0 to 10");
+        }
+        if self.threads == 0 {
+            return out_of_range("the number of threads", &0, "at least 1");
+        }
+        Ok(())
+    }
+
+    fn gather(&self, header: &Header) -> GatherSettings {
+        GatherSettings {
+            solid_angle_sr: self.solid_angle_sr,
+            raster_edge: self.raster_edge,
+            near_radii: self.near_radii,
+            bias: self.bias,
+            up: up_axis(header),
+            ..GatherSettings::default()
+        }
+    }
+}
+
+/// The direction of the sky in a file.
+pub(crate) fn up_axis(header: &Header) -> Vec3 {
+    if header.flags.z_up { Vec3::Z } else { Vec3::Y }
+}
+
+/// Opens a file as far as its header and page table and returns the header.
+pub(crate) fn read_header(path: &Path) -> Result<Header, PbgiError> {
+    // Nothing is read into the cache, so its size is of no consequence.
+    let options = OpenOptions { cache_bytes: 1 << 40, readers: 1, backend: Backend::Read };
+    Ok(*Octree::open(path, &options)?.header())
+}
+
+/// An open octree under its light, and counts of what has been shaded.
+pub(crate) struct Session<'a> {
+    pub octree: Arc<Octree>,
+    pub environment: Option<Environment>,
+    light: Option<PreparedLight>,
+    gather: GatherSettings,
+    threads: usize,
+    cancel: &'a AtomicBool,
+    sample: CheckSample,
+    cut: CutStats,
+    receivers: u64,
+    seconds: f64,
+    memory: MemorySplit,
+    /// What the user should know of, one sentence each.
+    pub warnings: Vec<String>,
+}
+
+impl<'a> Session<'a> {
+    /// Opens `path` with the cache that `memory` grants; besides the workers there may be
+    /// `extra_readers`.
+    pub fn open(
+        path: &Path,
+        settings: &ShadeSettings,
+        environment: Option<Environment>,
+        memory: MemorySplit,
+        extra_readers: usize,
+        cancel: &'a AtomicBool,
+    ) -> Result<Self, PbgiError> {
+        let options = OpenOptions {
+            cache_bytes: memory.cache_bytes,
+            readers: settings.threads + extra_readers,
+            // Mapped pages would count as memory of this process on top of the cache.
+            backend: Backend::Read,
+        };
+        let octree = Arc::new(Octree::open(path, &options)?);
+        let light = environment.as_ref().map(|e| PreparedLight::new(e, settings.raster_edge));
+        let mut warnings = Vec::new();
+        if light.is_none() && octree.header().channels == Channels::Occlusion {
+            warnings.push(
+                "there is no light: the file stores none and no environment is given; AO, sky \
+                 visibility and bent normals are written, irradiance is 0 (add --env or --env-color)"
+                    .to_owned(),
+            );
+        }
+        Ok(Self {
+            gather: settings.gather(octree.header()),
+            octree,
+            environment,
+            light,
+            threads: settings.threads,
+            cancel,
+            sample: CheckSample::new(settings.check_receivers),
+            cut: CutStats::default(),
+            receivers: 0,
+            seconds: 0.0,
+            memory,
+            warnings,
+        })
+    }
+
+    /// Whether anything shines.
+    pub fn is_lit(&self) -> bool {
+        self.light.is_some() || self.octree.header().channels != Channels::Occlusion
+    }
+
+    /// The direction of the sky.
+    pub fn up(&self) -> Vec3 {
+        self.gather.up
+    }
+
+    /// Shades `receivers`, positions relative to the octree's origin; `advance` is told how many have
+    /// been done in this call.
+    pub fn shade(
+        &mut self,
+        receivers: &[Receiver],
+        advance: &(dyn Fn(u64) + Sync),
+    ) -> Result<Vec<Shading>, PbgiError> {
+        let mut shadings = Vec::with_capacity(receivers.len());
+        for (number, chunk) in receivers.chunks(CHUNK_RECEIVERS).enumerate() {
+            let before = (number * CHUNK_RECEIVERS) as u64;
+            let options = ShadeOptions {
+                gather: self.gather,
+                threads: self.threads,
+                cancel: self.cancel,
+                progress: &|done| advance(before + done),
+            };
+            let (part, report) =
+                shade_receivers(&self.octree, self.light.as_ref(), chunk, &options)?;
+            self.cut.add(&report.cut);
+            self.seconds += report.seconds;
+            for (offset, (receiver, shading)) in chunk.iter().zip(&part).enumerate() {
+                self.sample.offer(self.receivers + offset as u64, receiver, shading);
+            }
+            self.receivers += chunk.len() as u64;
+            shadings.extend(part);
+        }
+        Ok(shadings)
+    }
+
+    /// Measures the error, if asked to, and closes the file.
+    pub fn finish(mut self, progress: &Progress) -> Result<ShadeReport, PbgiError> {
+        let cache = CacheReport::new(&self.octree.stats());
+        let sample = std::mem::take(&mut self.sample).into_sorted();
+        let check = if sample.is_empty() { None } else { self.check(&sample, progress)? };
+        let mean = |sum: u64| sum as f64 / self.receivers.max(1) as f64;
+        Ok(ShadeReport {
+            receivers: self.receivers,
+            shade_seconds: self.seconds,
+            receivers_per_second: self.receivers as f64 / self.seconds.max(1e-9),
+            cut_mean: mean(self.cut.cut_size()),
+            nodes_visited_mean: mean(self.cut.nodes_visited),
+            cache,
+            memory: self.memory,
+            memory_peak_bytes: crate::memory::peak_resident_bytes(),
+            check,
+            surfels: self.octree.header().surfel_count,
+            solid_angle_sr: self.gather.solid_angle_sr,
+            raster_edge: self.gather.raster_edge,
+            threads: self.threads,
+            environment_peaks: self.environment.as_ref().map_or(0, |e| e.peaks().len()),
+            total_seconds: 0.0,
+            warnings: self.warnings,
+        })
+    }
+
+    fn check(
+        &mut self,
+        sample: &[crate::check::Sampled],
+        progress: &Progress,
+    ) -> Result<Option<CheckReport>, PbgiError> {
+        let start = Instant::now();
+        let receivers: Vec<Receiver> = sample.iter().map(|s| s.receiver).collect();
+        let phase = progress.start_phase("check", "receivers", Some(receivers.len() as u64));
+        let options = ShadeOptions {
+            gather: GatherSettings { solid_angle_sr: 0.0, ..self.gather },
+            threads: self.threads,
+            cancel: self.cancel,
+            progress: &|done| phase.set_done(done),
+        };
+        let (references, _) =
+            shade_receivers(&self.octree, self.light.as_ref(), &receivers, &options)?;
+        drop(phase);
+        match CheckReport::new(sample, &references) {
+            Ok(mut report) => {
+                report.seconds = start.elapsed().as_secs_f64();
+                Ok(Some(report))
+            }
+            Err(error) => {
+                self.warnings.push(format!("the error could not be measured: {error}"));
+                Ok(None)
+            }
+        }
+    }
+}
+
+/// What the page cache did.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CacheReport {
+    /// Pages asked for.
+    pub requests: u64,
+    /// Share of requests that did not read the file.
+    pub hit_rate: f64,
+    /// Pages read.
+    pub pages_read: u64,
+    /// Bytes read.
+    pub bytes_read: u64,
+    /// Bytes of distinct pages read.
+    pub distinct_bytes: u64,
+    /// Bytes read ÷ bytes of distinct pages.
+    pub read_amplification: f64,
+    /// Pages dropped to make room.
+    pub evictions: u64,
+    /// Seconds workers waited for pages, summed over workers.
+    pub wait_seconds: f64,
+    /// Most bytes of pages held at once.
+    pub held_bytes_max: u64,
+}
+
+impl CacheReport {
+    fn new(stats: &CacheStats) -> Self {
+        Self {
+            requests: stats.requests,
+            hit_rate: stats.hit_rate(),
+            pages_read: stats.pages_read,
+            bytes_read: stats.bytes_read,
+            distinct_bytes: stats.distinct_bytes,
+            read_amplification: stats.read_amplification(),
+            evictions: stats.evictions,
+            wait_seconds: stats.wait_ns as f64 * 1e-9,
+            held_bytes_max: stats.held_bytes_max,
+        }
+    }
+}
+
+/// What a shading run did.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ShadeReport {
+    /// Receivers shaded.
+    pub receivers: u64,
+    /// Seconds the workers took, without hiding, reading of scenes, writing and the check.
+    pub shade_seconds: f64,
+    /// Receivers per second of those.
+    pub receivers_per_second: f64,
+    /// Mean entries of a cut.
+    pub cut_mean: f64,
+    /// Mean nodes whose bounds were tested.
+    pub nodes_visited_mean: f64,
+    /// The page cache while shading.
+    pub cache: CacheReport,
+    /// How the memory limit was divided.
+    pub memory: MemorySplit,
+    /// Most memory the process held at once, where the system tells.
+    pub memory_peak_bytes: Option<u64>,
+    /// Measured error, if asked for.
+    pub check: Option<CheckReport>,
+    /// Surfels of the octree file.
+    pub surfels: u64,
+    /// Largest solid angle of a node in steradians.
+    pub solid_angle_sr: f32,
+    /// Texels along a face of the cube raster.
+    pub raster_edge: usize,
+    /// Worker threads.
+    pub threads: usize,
+    /// Small bright lights the environment was found to have.
+    pub environment_peaks: usize,
+    /// Seconds of the whole run.
+    pub total_seconds: f64,
+    /// What the user should know of, one sentence each.
+    pub warnings: Vec<String>,
+}
