@@ -2,5 +2,6 @@
 #![allow(missing_docs, reason = "tests are named by what they claim")]
 
 mod closed_forms;
+mod format_document;
 mod octree_file;
 mod support;
