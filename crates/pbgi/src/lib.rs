@@ -6,26 +6,42 @@
 //! of the engine itself.
 #![forbid(unsafe_code)]
 
-pub mod cli;
-mod error;
-mod memory;
+mod bake;
+mod bake_memory;
+mod bake_report;
+mod bake_request;
 mod camera_choice;
 mod check;
+pub mod cli;
+mod error;
 mod frame;
+mod input;
+mod memory;
 mod memory_split;
 mod output;
+mod output_path;
 mod points;
+mod progress;
+mod relight;
 mod shade;
 mod splat;
-mod progress;
 
-pub use error::PbgiError;
-pub use memory::{peak_resident_bytes, resident_bytes};
-pub use progress::{Phase, Progress, ProgressMode, Verbosity};
+pub use bake::bake;
+pub use bake_report::{BakeReport, BytesPerSurfel, PhaseReport};
+pub use bake_request::{BakeRequest, NormalsChoice};
 pub use camera_choice::CameraChoice;
 pub use check::CheckReport;
+pub use error::PbgiError;
 pub use frame::{FRAME_AOVS, Frame, FrameRequest, shade_frame};
+pub use input::{DEFAULT_SURFELS, InputKind, Sampling, load_scene};
+pub use memory::{peak_resident_bytes, resident_bytes};
 pub use memory_split::MemorySplit;
 pub use output::{check_writable, refuse_to_overwrite};
+pub use pbgi_cloud::{CloudOptions, InvalidPolicy, PlyWriter};
+pub use pbgi_image::{Aov, AovNames, AovPreset, write_environment_exr};
+pub use pbgi_light::{SkyParameters, UpAxis, synthetic_sky};
+pub use pbgi_scene::{ProceduralScene, Scene, TwoSided, procedural_scene};
 pub use points::{PointSource, PointsRequest, shade_points};
+pub use progress::{Phase, Progress, ProgressMode, Verbosity};
+pub use relight::{BOUNCES_MAX, LightRequest};
 pub use shade::{CacheReport, EnvironmentSpec, LightSource, ShadeReport, ShadeSettings};

@@ -1,0 +1,177 @@
+//! What a bake did, for people and for programs.
+
+use crate::progress::{format_bytes, format_count, format_seconds};
+use pbgi_build::BuildReport;
+use serde::Serialize;
+
+/// What a bake did.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct BakeReport {
+    /// Inputs as named.
+    pub inputs: Vec<String>,
+    /// The octree file.
+    pub output: String,
+    /// Surfels in it.
+    pub surfels: u64,
+    /// Records dropped because they hold no valid surfel (`--skip-invalid`).
+    pub skipped: u64,
+    /// Nodes, leaves included.
+    pub nodes: u64,
+    /// Leaves.
+    pub leaves: u64,
+    /// Pages.
+    pub pages: u64,
+    /// Bytes of the file.
+    pub file_bytes: u64,
+    /// Bytes per surfel by kind; their sum times the surfels is the file's size.
+    pub bytes_per_surfel: BytesPerSurfel,
+    /// Coarsest spacing meshes were diced with, in scene units; none without meshes.
+    pub spacing: Option<f64>,
+    /// Estimated sizes, where the clouds had none.
+    pub estimated_sizes: u64,
+    /// Estimated normals, where the clouds had none.
+    pub estimated_normals: u64,
+    /// Sorted runs on disk; 0 where everything fit into memory.
+    pub sorted_runs: u64,
+    /// What was done, in order.
+    pub phases: Vec<PhaseReport>,
+    /// Seconds of wall time in all.
+    pub seconds: f64,
+    /// Surfels per second in all, from reading to the finished file.
+    pub surfels_per_second: f64,
+    /// Threads used.
+    pub threads: usize,
+    /// The memory limit.
+    pub memory_limit_bytes: u64,
+    /// Most bytes the process held at once, where the system tells.
+    pub memory_peak_bytes: Option<u64>,
+    /// What the user should know, one sentence each.
+    pub warnings: Vec<String>,
+}
+
+/// Bytes of the file per surfel, by what they hold.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct BytesPerSurfel {
+    /// Stored surfels.
+    pub surfels: f64,
+    /// What every walk reads of the nodes: boxes and links.
+    pub nodes_hot: f64,
+    /// Directional area and intensity of the nodes.
+    pub nodes_directional: f64,
+    /// Page headers, alignment, page table; negative where compression saves more.
+    pub pages: f64,
+}
+
+impl BytesPerSurfel {
+    /// Everything.
+    #[must_use]
+    pub fn total(&self) -> f64 {
+        self.surfels + self.nodes_hot + self.nodes_directional + self.pages
+    }
+
+    pub(crate) fn new(report: &BuildReport) -> Self {
+        let per_surfel = |bytes: f64| bytes / report.surfels.max(1) as f64;
+        Self {
+            surfels: per_surfel(report.surfel_bytes as f64),
+            nodes_hot: per_surfel(report.node_hot_bytes as f64),
+            nodes_directional: per_surfel(report.lobe_bytes as f64),
+            pages: per_surfel(report.overhead_bytes as f64),
+        }
+    }
+}
+
+/// One phase of a bake.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PhaseReport {
+    /// Its name.
+    pub name: &'static str,
+    /// Seconds of wall time.
+    pub seconds: f64,
+    /// Surfels per second.
+    pub surfels_per_second: f64,
+}
+
+impl PhaseReport {
+    pub(crate) fn new(name: &'static str, seconds: f64, surfels: u64) -> Self {
+        Self { name, seconds, surfels_per_second: surfels as f64 / seconds.max(1e-9) }
+    }
+}
+
+impl BakeReport {
+    /// Labels and values, for [`crate::cli::format_table`].
+    #[must_use]
+    pub fn rows(&self) -> Vec<(&'static str, String)> {
+        let rate = |r: f64| format!("{} surfels/s", format_count(r));
+        let bytes = &self.bytes_per_surfel;
+        let mut rows = vec![
+            ("output", self.output.clone()),
+            ("surfels", format!("{}", self.surfels)),
+            ("nodes", format!("{} ({} leaves, {} pages)", self.nodes, self.leaves, self.pages)),
+            ("file", format_bytes(self.file_bytes)),
+            (
+                "bytes/surfel",
+                format!(
+                    "{:.2} = surfels {:.2} + nodes {:.2} + directional {:.2} + pages {:.2}",
+                    bytes.total(),
+                    bytes.surfels,
+                    bytes.nodes_hot,
+                    bytes.nodes_directional,
+                    bytes.pages
+                ),
+            ),
+        ];
+        if let Some(spacing) = self.spacing {
+            rows.push(("spacing", format!("{spacing:.6} (--spacing or --surfels set it)")));
+        }
+        if self.skipped > 0 {
+            rows.push(("skipped", format!("{} invalid records", self.skipped)));
+        }
+        if self.estimated_sizes + self.estimated_normals > 0 {
+            let (sizes, normals) = (self.estimated_sizes, self.estimated_normals);
+            rows.push(("estimated", format!("{sizes} sizes, {normals} normals")));
+        }
+        for phase in &self.phases {
+            let text = format_seconds(phase.seconds);
+            rows.push((phase.name, format!("{text}, {}", rate(phase.surfels_per_second))));
+        }
+        let total = format_seconds(self.seconds);
+        rows.push(("total", format!("{total}, {}", rate(self.surfels_per_second))));
+        if let Some(peak) = self.memory_peak_bytes {
+            let limit = self.memory_limit_bytes;
+            let share = peak as f64 / limit.max(1) as f64 * 100.0;
+            let (peak, limit) = (format_bytes(peak), format_bytes(limit));
+            rows.push(("peak memory", format!("{peak} of {limit} ({share:.0} %)")));
+        }
+        rows
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn kinds_of_bytes_add_up_to_the_file() {
+        let build = BuildReport {
+            surfels: 100,
+            nodes: 20,
+            leaves: 10,
+            pages: 2,
+            file_bytes: 2300,
+            surfel_bytes: 1400,
+            node_hot_bytes: 500,
+            lobe_bytes: 300,
+            overhead_bytes: 100,
+        };
+        assert!((BytesPerSurfel::new(&build).total() - 23.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn rows_leave_out_what_did_not_happen() {
+        let labels = |report: &BakeReport| report.rows().iter().map(|r| r.0).collect::<Vec<_>>();
+        let plain = labels(&BakeReport::default());
+        assert!(!plain.contains(&"spacing") && !plain.contains(&"skipped"));
+        let full = BakeReport { spacing: Some(0.1), skipped: 3, ..BakeReport::default() };
+        assert!(labels(&full).contains(&"spacing") && labels(&full).contains(&"skipped"));
+    }
+}
