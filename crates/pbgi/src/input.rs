@@ -82,6 +82,12 @@ impl InputKind {
         }
     }
 
+    /// Whether `name` means a procedural scene rather than a file.
+    #[must_use]
+    pub fn is_procedural_name(name: &str) -> bool {
+        ProceduralSpec::matches(name)
+    }
+
     fn of_ply(path: &Path) -> Result<Self, PbgiError> {
         let file = File::open(path).map_err(|e| CloudError::io(path, "open", e))?;
         let header = PlyHeader::read(&mut BufReader::new(file), path)?;

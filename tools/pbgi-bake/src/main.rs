@@ -1,2 +1,242 @@
-//! Under construction.
-fn main() {}
+//! Bakes meshes and point clouds into an octree file of lit surfels.
+#![forbid(unsafe_code)]
+
+use clap::{Parser, ValueEnum};
+use pbgi::cli::{self, CommonArgs};
+use pbgi::{
+    BakeRequest, CloudOptions, EnvironmentSpec, InputKind, InvalidPolicy, LightRequest,
+    LightSource, NormalsChoice, PbgiError, Sampling, TwoSided, UpAxis,
+};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::atomic::AtomicBool;
+
+/// Bake meshes and point clouds into one octree file of lit surfels
+///
+/// Inputs are meshes (.glb .gltf .obj .ply), point clouds (.ply .las .laz, raw surfels), `-` for
+/// raw surfels on standard input, or a procedural scene such as demo:street?seed=1&surfels=2M.
+/// Several inputs become one cloud.
+#[derive(Parser)]
+#[command(name = "pbgi-bake", version, max_term_width = 100)]
+struct Args {
+    /// Meshes, point clouds, `-`, or demo:NAME
+    #[arg(required = true, value_name = "INPUT")]
+    inputs: Vec<String>,
+    /// Octree file to write; the first input's name with .pbgi here if not given
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// Replace the output if it exists
+    #[arg(long)]
+    force: bool,
+    #[command(flatten)]
+    surfels: SurfelArgs,
+    #[command(flatten)]
+    light: LightArgs,
+    #[command(flatten)]
+    layout: LayoutArgs,
+    /// Folder for temporary files; that of the output if not given
+    #[arg(long, value_name = "FOLDER")]
+    temp_dir: Option<PathBuf>,
+    /// Write statistics as JSON; - is standard output
+    #[arg(long, value_name = "FILE")]
+    stats_json: Option<PathBuf>,
+    #[command(flatten)]
+    common: CommonArgs,
+}
+
+/// How inputs become surfels.
+#[derive(clap::Args)]
+#[command(next_help_heading = "Surfels")]
+struct SurfelArgs {
+    /// Longest micropolygon edge of meshes, in scene units
+    #[arg(long, value_name = "LENGTH", conflicts_with = "surfels")]
+    spacing: Option<f32>,
+    /// Surfels of all meshes together, such as 2M; a million if not given
+    #[arg(long, value_name = "COUNT", value_parser = cli::parse_count)]
+    surfels: Option<u64>,
+    /// Surfaces with a surfel for each side
+    #[arg(long, value_enum, value_name = "WHICH", default_value = "material")]
+    two_sided: TwoSidedArg,
+    /// Where a cloud has no normals
+    #[arg(long, value_enum, value_name = "HOW", default_value = "estimate")]
+    normals: NormalsChoice,
+    /// Upward axis; z for LAS and LAZ, else y
+    #[arg(long, value_enum, value_name = "AXIS")]
+    up: Option<UpArg>,
+    /// Drop invalid records instead of refusing the file
+    #[arg(long)]
+    skip_invalid: bool,
+}
+
+/// Light stored in surfels.
+#[derive(clap::Args)]
+#[command(next_help_heading = "Light")]
+struct LightArgs {
+    /// Environment that lights the surfels, .exr or .hdr
+    #[arg(long, value_name = "IMAGE")]
+    env: Option<PathBuf>,
+    /// Rotation of the environment about the upward axis
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
+    env_rotate: f32,
+    /// Factor on the environment
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    env_scale: f32,
+    /// How often light passes from surfel to surfel
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    bounces: u32,
+    /// Largest solid angle of a cluster, in steradians
+    #[arg(long, value_name = "SR", default_value_t = 0.2)]
+    bounce_solid_angle: f32,
+    /// Texels along a face of the cube raster
+    #[arg(long, value_name = "N", default_value_t = 6)]
+    bounce_raster: usize,
+}
+
+/// Layout of the file.
+#[derive(clap::Args)]
+#[command(next_help_heading = "File layout")]
+struct LayoutArgs {
+    /// Bytes a page aims at
+    #[arg(long, value_name = "SIZE", default_value = "64KiB", value_parser = cli::parse_bytes)]
+    page_bytes: u64,
+    /// Most surfels of a leaf
+    #[arg(long, value_name = "N", default_value_t = 16)]
+    leaf_surfels: usize,
+    /// Compress pages
+    #[arg(long)]
+    lz4: bool,
+    /// Store neither light nor albedo
+    #[arg(long)]
+    occlusion_only: bool,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum TwoSidedArg {
+    /// Those of double-sided materials
+    Material,
+    /// All
+    All,
+    /// None
+    None,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum UpArg {
+    /// +Y
+    Y,
+    /// +Z
+    Z,
+}
+
+impl Args {
+    fn request(&self) -> Result<BakeRequest, PbgiError> {
+        let Self { surfels, light, layout, .. } = self;
+        let environment = light.env.clone().map(|path| EnvironmentSpec {
+            source: LightSource::File(path),
+            rotate_degrees: light.env_rotate,
+            scale: light.env_scale,
+        });
+        let invalid =
+            if surfels.skip_invalid { InvalidPolicy::Skip } else { InvalidPolicy::Refuse };
+        Ok(BakeRequest {
+            inputs: self.inputs.clone(),
+            output: self.output.clone().map_or_else(|| default_output(&self.inputs[0]), Ok)?,
+            force: self.force,
+            sampling: match (surfels.spacing, surfels.surfels) {
+                (Some(spacing), _) => Sampling::Spacing(spacing),
+                (None, Some(count)) => Sampling::Surfels(count),
+                (None, None) => Sampling::default(),
+            },
+            two_sided: match surfels.two_sided {
+                TwoSidedArg::Material => TwoSided::Material,
+                TwoSidedArg::All => TwoSided::All,
+                TwoSidedArg::None => TwoSided::None,
+            },
+            cloud: CloudOptions { invalid, ..CloudOptions::default() },
+            up: surfels.up.map(|up| match up {
+                UpArg::Y => UpAxis::Y,
+                UpArg::Z => UpAxis::Z,
+            }),
+            normals: surfels.normals,
+            light: LightRequest {
+                environment,
+                bounces: light.bounces,
+                solid_angle_sr: light.bounce_solid_angle,
+                raster_edge: light.bounce_raster,
+            },
+            temp_dir: self.temp_dir.clone(),
+            memory_limit: self.common.memory_limit,
+            threads: self.common.thread_count(),
+            page_bytes: usize::try_from(layout.page_bytes).unwrap_or(usize::MAX),
+            leaf_surfels_max: layout.leaf_surfels,
+            compress: layout.lz4,
+            occlusion_only: layout.occlusion_only,
+        })
+    }
+}
+
+/// The input's name with the octree's extension, in the current folder.
+fn default_output(input: &str) -> Result<PathBuf, PbgiError> {
+    if input == "-" {
+        return Err(PbgiError::usage("standard input has no name; name the output (-o)"));
+    }
+    if InputKind::is_procedural_name(input) {
+        let name = input.trim_start_matches("demo:").split('?').next().unwrap_or_default();
+        return Ok(PathBuf::from(format!("{name}.pbgi")));
+    }
+    match Path::new(input).file_stem() {
+        Some(stem) => {
+            let mut name = stem.to_owned();
+            name.push(".pbgi");
+            Ok(PathBuf::from(name))
+        }
+        None => Err(PbgiError::usage(format!("{input} is no file name; name the output (-o)"))),
+    }
+}
+
+fn run(args: &Args, cancel: &AtomicBool) -> Result<(), PbgiError> {
+    args.common.check()?;
+    let request = args.request()?;
+    let progress = args.common.start_progress(2);
+    let report = pbgi::bake(&request, &progress, cancel)?;
+    let json_on_stdout = args.stats_json.as_deref() == Some(Path::new("-"));
+    if !json_on_stdout {
+        cli::print(&cli::format_table(&report.rows()))?;
+    }
+    args.stats_json.as_deref().map_or(Ok(()), |path| cli::write_json(path, &report))
+}
+
+fn main() -> ExitCode {
+    let args = Args::parse();
+    cli::run("pbgi-bake", |cancel| run(&args, cancel))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn options_are_consistent() {
+        Args::command().debug_assert();
+    }
+
+    #[test]
+    fn outputs_are_named_after_inputs() {
+        for (input, output) in [
+            ("models/a.b.ply", "a.b.pbgi"),
+            ("demo:street?seed=2", "street.pbgi"),
+            ("scan.laz", "scan.pbgi"),
+        ] {
+            assert_eq!(default_output(input).unwrap(), Path::new(output));
+        }
+        assert_eq!(default_output("-").unwrap_err().exit_code(), cli::EXIT_MISUSED);
+        assert!(default_output("..").is_err());
+    }
+
+    #[test]
+    fn short_help_fits_a_screen() {
+        let help = Args::command().render_help().to_string();
+        assert!(help.lines().count() <= 60, "{help}");
+    }
+}
