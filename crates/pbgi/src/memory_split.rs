@@ -4,6 +4,7 @@ use crate::PbgiError;
 use crate::memory::resident_bytes;
 use crate::progress::format_bytes;
 use serde::Serialize;
+use std::fmt;
 
 /// What a program holds before it does anything, where the system does not tell.
 const PROGRAM_BYTES: u64 = 24 << 20;
@@ -26,6 +27,14 @@ pub struct MemorySplit {
     pub frame_bytes: u64,
     /// Page cache: all the rest.
     pub cache_bytes: u64,
+}
+
+impl fmt::Display for MemorySplit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [held, frame, cache] =
+            [self.held_bytes, self.frame_bytes, self.cache_bytes].map(format_bytes);
+        write!(f, "{cache} page cache, {frame} receivers and image, {held} the rest")
+    }
 }
 
 impl MemorySplit {

@@ -4,7 +4,7 @@
 use crate::PbgiError;
 use crate::check::{CheckReport, CheckSample};
 use crate::memory_split::MemorySplit;
-use crate::progress::Progress;
+use crate::progress::{Progress, format_bytes, format_count, format_seconds};
 use pbgi_cut::CutStats;
 use pbgi_format::{Channels, Header};
 use pbgi_image::read_environment;
@@ -415,4 +415,39 @@ pub struct ShadeReport {
     pub total_seconds: f64,
     /// What the user should know of, one sentence each.
     pub warnings: Vec<String>,
+}
+
+impl ShadeReport {
+    /// The report as rows of a table: label and value.
+    #[must_use]
+    pub fn rows(&self) -> Vec<(&'static str, String)> {
+        let percent = |share: f64| format!("{:.2} %", share * 100.0);
+        let mut rows = vec![
+            ("surfels", format_count(self.surfels as f64)),
+            ("receivers", format_count(self.receivers as f64)),
+            ("receivers per second", format_count(self.receivers_per_second.round())),
+            ("mean cut size", format_count(self.cut_mean.round())),
+            ("cache hit rate", format!("{:.3} %", self.cache.hit_rate * 100.0)),
+            ("read amplification", format!("{:.2}", self.cache.read_amplification)),
+            ("bytes read", format_bytes(self.cache.bytes_read)),
+            ("memory split", self.memory.to_string()),
+        ];
+        let limit = format_bytes(self.memory.limit_bytes);
+        let peak = self.memory_peak_bytes.map_or("unknown".to_owned(), format_bytes);
+        rows.push(("peak memory", format!("{peak} of {limit}")));
+        if let Some(check) = &self.check {
+            let error = format!(
+                "{} relative rmse, {} bias, {} p99 ({} of {} receivers, every surfel in {})",
+                percent(check.rrmse),
+                percent(check.bias),
+                percent(check.p99),
+                check.quantity,
+                check.receivers,
+                format_seconds(check.seconds)
+            );
+            rows.push(("cut error", error));
+        }
+        rows.push(("total time", format_seconds(self.total_seconds)));
+        rows
+    }
 }

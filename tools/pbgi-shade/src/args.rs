@@ -1,0 +1,321 @@
+//! Command line of pbgi-shade.
+
+use clap::{Args, Parser, ValueEnum};
+use pbgi::cli::{CommonArgs, parse_triple};
+use pbgi::{Aov, AovNames, AovPreset, FRAME_AOVS};
+use pbgi::{CameraChoice, EnvironmentSpec, LightSource, PbgiError, ShadeSettings};
+use std::path::PathBuf;
+
+/// Gather light from an octree file, for a picture or for points
+///
+/// A picture shows the scene given by --scene (the mesh the octree was baked from), or, without one,
+/// the surfels of the octree themselves. Results for points go to a PLY file.
+///
+/// Examples:
+///   pbgi-shade street.pbgi --scene demo:street --env sky.exr -o street.exr --preview street.png
+///   pbgi-shade room.pbgi --receivers points.ply -o shaded.ply --check 200
+#[derive(Debug, Parser)]
+#[command(name = "pbgi-shade", version, verbatim_doc_comment)]
+pub struct ShadeArgs {
+    /// Octree file, made by pbgi-bake
+    pub octree: PathBuf,
+    /// Result: an EXR picture (overwritten), or a PLY file for points
+    #[arg(short, long, value_name = "FILE")]
+    pub output: PathBuf,
+    /// Replace a PLY file that exists
+    #[arg(long)]
+    pub force: bool,
+    /// What is seen or shaded
+    #[command(flatten)]
+    pub view: ViewArgs,
+    /// Points
+    #[command(flatten)]
+    pub points: PointArgs,
+    /// Distant light
+    #[command(flatten)]
+    pub light: LightArgs,
+    /// How good
+    #[command(flatten)]
+    pub quality: QualityArgs,
+    /// What is written
+    #[command(flatten)]
+    pub output_options: OutputArgs,
+    /// Options of every tool
+    #[command(flatten)]
+    pub common: CommonArgs,
+}
+
+/// What a picture shows.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Picture")]
+pub struct ViewArgs {
+    /// Scene whose surfaces are shaded: .glb .gltf .obj .ply or demo:NAME
+    #[arg(long, value_name = "FILE")]
+    pub scene: Option<String>,
+    /// Camera of the scene, by name or number
+    #[arg(long, value_name = "NAME|INDEX", conflicts_with = "camera_position")]
+    pub camera: Option<String>,
+    /// Place of the eye
+    #[arg(long, value_name = "X,Y,Z", requires = "camera_target", value_parser = parse_place,
+          allow_hyphen_values = true)]
+    pub camera_position: Option<[f64; 3]>,
+    /// What the camera looks at
+    #[arg(long, value_name = "X,Y,Z", requires = "camera_position", value_parser = parse_place,
+          allow_hyphen_values = true)]
+    pub camera_target: Option<[f64; 3]>,
+    /// Vertical field of view in degrees [default: 45]
+    #[arg(long, value_name = "DEG", requires = "camera_position")]
+    pub fov: Option<f32>,
+    /// What is up in the picture [default: the file's up axis]
+    #[arg(long, value_name = "X,Y,Z", requires = "camera_position", value_parser = parse_triple,
+          allow_hyphen_values = true)]
+    pub up: Option<[f32; 3]>,
+    /// Size of the picture in pixels
+    #[arg(long, value_name = "WxH", default_value = "960x540", value_parser = parse_resolution)]
+    pub resolution: [u32; 2],
+    /// Samples per pixel for edges: 1, 4, 8 or 16
+    #[arg(long, value_name = "N", default_value_t = 8)]
+    pub samples: u32,
+    /// Area of a micropolygon in pixels
+    #[arg(long, value_name = "PIXELS", default_value_t = 1.0)]
+    pub shading_rate: f32,
+}
+
+impl ViewArgs {
+    /// The camera asked for.
+    pub fn camera(&self) -> CameraChoice {
+        if let (Some(position), Some(target)) = (self.camera_position, self.camera_target) {
+            return CameraChoice::LookAt {
+                position: position.into(),
+                target: target.into(),
+                up: self.up.map(Into::into),
+                fov_degrees: self.fov,
+            };
+        }
+        self.camera.clone().map_or(CameraChoice::Default, CameraChoice::Named)
+    }
+}
+
+/// Which points are shaded instead of a picture.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Points instead of a picture")]
+pub struct PointArgs {
+    /// Points with normals; the other columns of the file pass through
+    #[arg(long, value_name = "PLY", conflicts_with_all = ["scene", "camera", "camera_position"])]
+    pub receivers: Option<PathBuf>,
+    /// Every surfel of the octree
+    #[arg(long, conflicts_with_all = ["receivers", "scene", "camera", "camera_position"])]
+    pub surfels: bool,
+}
+
+/// Distant light.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Light")]
+pub struct LightArgs {
+    /// Equirectangular environment, EXR or HDR
+    #[arg(long, value_name = "FILE", conflicts_with = "env_color")]
+    pub env: Option<PathBuf>,
+    /// Uniform environment of this radiance
+    #[arg(long, value_name = "R,G,B", value_parser = parse_triple, allow_hyphen_values = true)]
+    pub env_color: Option<[f32; 3]>,
+    /// Turn of the environment about the up axis, counterclockwise seen from above
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true)]
+    pub env_rotate: f32,
+    /// Factor on the environment's radiance
+    #[arg(long, value_name = "F", default_value_t = 1.0, allow_hyphen_values = true)]
+    pub env_scale: f32,
+}
+
+impl LightArgs {
+    /// The environment asked for.
+    pub fn environment(&self) -> Option<EnvironmentSpec> {
+        let file = self.env.clone().map(LightSource::File);
+        let source = file.or(self.env_color.map(LightSource::Uniform))?;
+        Some(EnvironmentSpec { source, rotate_degrees: self.env_rotate, scale: self.env_scale })
+    }
+}
+
+/// How good the result is.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Quality")]
+pub struct QualityArgs {
+    /// Largest solid angle of a node taken as one, in steradians; 0 takes every surfel
+    #[arg(long, visible_alias = "maxsolidangle", value_name = "SR",
+          default_value_t = ShadeSettings::default().solid_angle_sr)]
+    pub solid_angle: f32,
+    /// Texels along a face of the cube raster
+    #[arg(long, value_name = "N", default_value_t = ShadeSettings::default().raster_edge)]
+    pub raster: usize,
+    /// Surfels nearer than this many radii are intersected exactly
+    #[arg(long, value_name = "RADII", default_value_t = ShadeSettings::default().near_radii)]
+    pub near: f32,
+    /// Surfels that rise less than this share of their radius above a receiver are its own surface
+    #[arg(long, value_name = "SHARE", default_value_t = ShadeSettings::default().bias)]
+    pub bias: f32,
+    /// Gather this many receivers again without approximation and print the error
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub check: usize,
+}
+
+/// Whose channel names are written.
+#[derive(Clone, Copy, Debug, Default, ValueEnum)]
+pub enum NamePreset {
+    /// Arnold's
+    #[default]
+    Arnold,
+    /// Blender's
+    Blender,
+    /// RenderMan's
+    Renderman,
+}
+
+/// What is written.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Output")]
+pub struct OutputArgs {
+    /// Channels of the picture, by Arnold's names and `beauty`, or `all`
+    #[arg(long, value_name = "LIST", default_value = "all")]
+    pub aovs: String,
+    /// Names of the channels
+    #[arg(long, value_enum, value_name = "PRESET", default_value = "arnold")]
+    pub aov_names: NamePreset,
+    /// Picture for the eye, with a filmic curve
+    #[arg(long, value_name = "PNG")]
+    pub preview: Option<PathBuf>,
+    /// Exposure of the preview in stops, or auto
+    #[arg(long, value_name = "EV", default_value = "auto", value_parser = parse_exposure,
+          allow_hyphen_values = true)]
+    pub exposure: Exposure,
+    /// Statistics as JSON, to a file or - for standard output
+    #[arg(long, value_name = "FILE")]
+    pub stats_json: Option<PathBuf>,
+}
+
+impl OutputArgs {
+    /// The channels asked for.
+    pub fn parse_aovs(&self) -> Result<Vec<Aov>, PbgiError> {
+        if self.aovs == "all" {
+            return Ok(FRAME_AOVS.to_vec());
+        }
+        let names = AovNames::default();
+        let name_of = |aov: Aov| match aov {
+            Aov::Beauty => "beauty",
+            aov => names.layer(aov),
+        };
+        let mut aovs = Vec::new();
+        for name in self.aovs.split(',').map(str::trim).filter(|name| !name.is_empty()) {
+            let found = FRAME_AOVS.into_iter().find(|a| name_of(*a).eq_ignore_ascii_case(name));
+            let Some(aov) = found else {
+                let known: Vec<&str> = FRAME_AOVS.iter().map(|a| name_of(*a)).collect();
+                return Err(PbgiError::usage(format!(
+                    "--aovs: there is no `{name}`; there are {}",
+                    known.join(", ")
+                )));
+            };
+            if !aovs.contains(&aov) {
+                aovs.push(aov);
+            }
+        }
+        if aovs.is_empty() {
+            return Err(PbgiError::usage("--aovs names no channel; `all` means all"));
+        }
+        Ok(aovs)
+    }
+
+    /// The names asked for.
+    pub fn names(&self) -> AovNames {
+        AovNames::preset(match self.aov_names {
+            NamePreset::Arnold => AovPreset::Arnold,
+            NamePreset::Blender => AovPreset::Blender,
+            NamePreset::Renderman => AovPreset::Renderman,
+        })
+    }
+}
+
+/// Exposure of a preview.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Exposure {
+    /// One that suits the picture.
+    Auto,
+    /// In stops.
+    Stops(f32),
+}
+
+impl Exposure {
+    /// Stops, unless they are to be found.
+    pub fn stops(self) -> Option<f32> {
+        match self {
+            Self::Auto => None,
+            Self::Stops(stops) => Some(stops),
+        }
+    }
+}
+
+fn parse_exposure(text: &str) -> Result<Exposure, String> {
+    if text == "auto" {
+        return Ok(Exposure::Auto);
+    }
+    let stops = text.parse().ok().filter(|x: &f32| x.abs() <= 100.0);
+    let expected = || format!("`{text}` is no exposure; expected `auto` or stops such as 1.5");
+    stops.map(Exposure::Stops).ok_or_else(expected)
+}
+
+fn parse_resolution(text: &str) -> Result<[u32; 2], String> {
+    let edge = |text: &str| text.trim().parse().ok().filter(|x| (1..=65536).contains(x));
+    text.split_once(['x', 'X'])
+        .and_then(|(width, height)| Some([edge(width)?, edge(height)?]))
+        .ok_or_else(|| format!("`{text}` is no size; expected one such as 960x540"))
+}
+
+/// Three coordinates in double precision: survey coordinates have millions of meters.
+fn parse_place(text: &str) -> Result<[f64; 3], String> {
+    let parts: Option<Vec<f64>> = text
+        .split(',')
+        .map(|part| part.trim().parse().ok().filter(|x: &f64| x.is_finite()))
+        .collect();
+    parts
+        .and_then(|parts| parts.try_into().ok())
+        .ok_or_else(|| format!("`{text}` are not three numbers; expected such as 0,1.5,-2"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    fn parse(arguments: &[&str]) -> Result<ShadeArgs, clap::Error> {
+        let all = ["pbgi-shade", "a.pbgi", "-o", "a.exr"].iter().chain(arguments);
+        ShadeArgs::try_parse_from(all)
+    }
+
+    #[test]
+    fn options_are_consistent() {
+        ShadeArgs::command().debug_assert();
+    }
+
+    #[test]
+    fn numbers_are_read() {
+        let args = parse(&["--resolution", "64x36", "--exposure", "-1.5"]).unwrap();
+        assert_eq!(args.view.resolution, [64, 36]);
+        assert_eq!(args.output_options.exposure, Exposure::Stops(-1.5));
+        let camera = ["--camera-position", "-1,2,3e6", "--camera-target", "0,0,0"];
+        let CameraChoice::LookAt { position, .. } = parse(&camera).unwrap().view.camera() else {
+            panic!("no look-at camera")
+        };
+        assert_eq!(position.to_array(), [-1.0, 2.0, 3e6]);
+        for bad in [["--resolution", "64"], ["--resolution", "0x3"], ["--exposure", "bright"]] {
+            assert!(parse(&bad).is_err(), "{bad:?}");
+        }
+        assert!(parse(&["--camera-position", "1,2,3"]).is_err());
+        assert!(parse(&["--receivers", "r.ply", "--scene", "s.glb"]).is_err());
+    }
+
+    #[test]
+    fn channels_are_found_by_name() {
+        let aovs = |list: &str| parse(&["--aovs", list]).unwrap().output_options.parse_aovs();
+        assert_eq!(aovs("all").unwrap().len(), FRAME_AOVS.len());
+        assert_eq!(aovs("beauty, ao,P,ao").unwrap(), [Aov::Beauty, Aov::Occlusion, Aov::Position]);
+        assert!(aovs("gloss").unwrap_err().to_string().contains("beauty, diffuse_indirect"));
+        assert!(aovs(",").is_err());
+    }
+}
