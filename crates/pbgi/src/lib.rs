@@ -45,3 +45,8 @@ pub use points::{PointSource, PointsRequest, shade_points};
 pub use progress::{Phase, Progress, ProgressMode, Verbosity};
 pub use relight::{BOUNCES_MAX, LightRequest};
 pub use shade::{CacheReport, EnvironmentSpec, LightSource, ShadeReport, ShadeSettings};
+
+/// The example of the README, which must compile.
+#[cfg(doctest)]
+#[doc = include_str!("../../../README.md")]
+struct Readme;
