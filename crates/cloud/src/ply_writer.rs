@@ -4,7 +4,7 @@ use crate::{AtomicFile, CloudError};
 use std::io::{Seek, SeekFrom, Write};
 use std::path::Path;
 
-/// Writes a PLY file of one element `vertex` with `float` columns, binary little-endian, row by
+/// Writes a PLY file of one element `vertex` with `float` (and `double`) columns, binary little-endian, row by
 /// row; the number of rows need not be known before. The file appears when it is complete.
 ///
 /// ```
@@ -18,6 +18,8 @@ use std::path::Path;
 pub struct PlyWriter {
     file: AtomicFile,
     columns: Vec<String>,
+    /// Columns of type `double`, before those of type `float`.
+    double_count: usize,
     value_count: u64,
 }
 
@@ -28,6 +30,20 @@ impl PlyWriter {
     ///
     /// If the folder cannot be written, or a column name is empty, has blanks, or comes twice.
     pub fn create(path: &Path, columns: &[impl AsRef<str>]) -> Result<Self, CloudError> {
+        Self::create_with_doubles(path, columns, 0)
+    }
+
+    /// Starts the file `path` with the given columns, the first `double_count` of which are of type
+    /// `double`: for coordinates far from the origin.
+    ///
+    /// # Errors
+    ///
+    /// If the folder cannot be written, or a column name is empty, has blanks, or comes twice.
+    pub fn create_with_doubles(
+        path: &Path,
+        columns: &[impl AsRef<str>],
+        double_count: usize,
+    ) -> Result<Self, CloudError> {
         let columns: Vec<String> = columns.iter().map(|c| c.as_ref().to_owned()).collect();
         for (index, name) in columns.iter().enumerate() {
             let usable = !name.is_empty() && name.bytes().all(|b| b.is_ascii_graphic());
@@ -38,7 +54,8 @@ impl PlyWriter {
                 ));
             }
         }
-        let mut writer = Self { file: AtomicFile::create(path)?, columns, value_count: 0 };
+        let mut writer =
+            Self { file: AtomicFile::create(path)?, columns, double_count, value_count: 0 };
         writer.write_header()?;
         Ok(writer)
     }
@@ -51,11 +68,36 @@ impl PlyWriter {
     ///
     /// # Panics
     ///
-    /// If `values` is not whole rows.
+    /// If `values` is not whole rows, or there are `double` columns.
     pub fn write_rows(&mut self, values: &[f32]) -> Result<(), CloudError> {
         assert!(values.len().is_multiple_of(self.columns.len()), "values must be whole rows");
+        assert!(self.double_count == 0, "double columns need double values");
         for value in values {
             self.write(&value.to_le_bytes())?;
+        }
+        self.value_count += values.len() as u64;
+        Ok(())
+    }
+
+    /// Appends rows as [`PlyWriter::write_rows`], `float` columns rounded.
+    ///
+    /// # Errors
+    ///
+    /// If writing fails.
+    ///
+    /// # Panics
+    ///
+    /// If `values` is not whole rows.
+    pub fn write_double_rows(&mut self, values: &[f64]) -> Result<(), CloudError> {
+        assert!(values.len().is_multiple_of(self.columns.len()), "values must be whole rows");
+        for row in values.chunks_exact(self.columns.len().max(1)) {
+            let (doubles, floats) = row.split_at(self.double_count.min(row.len()));
+            for value in doubles {
+                self.write(&value.to_le_bytes())?;
+            }
+            for value in floats {
+                self.write(&(*value as f32).to_le_bytes())?;
+            }
         }
         self.value_count += values.len() as u64;
         Ok(())
@@ -89,8 +131,9 @@ impl PlyWriter {
             "",
             20 - rows.len(),
         );
-        for name in &self.columns {
-            header.push_str(&format!("property float {name}\n"));
+        for (index, name) in self.columns.iter().enumerate() {
+            let kind = if index < self.double_count { "double" } else { "float" };
+            header.push_str(&format!("property {kind} {name}\n"));
         }
         header.push_str("end_header\n");
         self.write(header.as_bytes())
@@ -124,6 +167,22 @@ mod tests {
             assert!(reader.read_row(&mut row).unwrap());
             assert_eq!((row.scalar(0), row.scalar(1)), (f64::from(i), -0.5 * f64::from(i)));
         }
+    }
+
+    #[test]
+    fn double_columns_keep_their_digits() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("t.ply");
+        let mut writer = PlyWriter::create_with_doubles(&path, &["x", "y", "r"], 2).unwrap();
+        let row = [4_512_345.123_456, -0.1, 0.1];
+        writer.write_double_rows(&row).unwrap();
+        assert_eq!(writer.finish().unwrap(), 1);
+        let bytes = std::fs::read(&path).unwrap();
+        let mut reader = PlyReader::new(bytes.as_slice(), &path).unwrap();
+        let mut values = PlyRow::default();
+        assert!(reader.read_row(&mut values).unwrap());
+        assert_eq!([0, 1].map(|i| values.scalar(i)), [row[0], row[1]]);
+        assert_eq!(values.scalar(2), f64::from(0.1f32));
     }
 
     #[test]

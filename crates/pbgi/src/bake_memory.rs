@@ -20,6 +20,12 @@ const SHADED_SURFEL_BYTES: u64 = 256;
 /// Limits below this shade smaller chunks.
 const WHOLE_CHUNK_LIMIT: u64 = 256 << 20;
 
+/// Bytes of the page cache of a program that only reads an octree.
+pub(crate) fn reader_cache_bytes(limit: u64) -> u64 {
+    let held = resident_bytes().unwrap_or(PROGRAM_BYTES) + MARGIN_BYTES + THREAD_BYTES;
+    limit.saturating_sub(held).max(BUDGET_BYTES_MIN)
+}
+
 /// The parts of a bake's memory limit. None of them changes the result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct BakeMemory {

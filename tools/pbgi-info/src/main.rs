@@ -1,2 +1,106 @@
-//! Under construction.
-fn main() {}
+//! Tells what an octree file holds, verifies it, exports its surfels.
+#![forbid(unsafe_code)]
+
+use clap::Parser;
+use pbgi::cli::{self, CommonArgs};
+use pbgi::{OctreeCheck, OctreeInfo, PbgiError, Progress};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Tell what an octree file holds, verify it, export its surfels
+#[derive(Parser)]
+#[command(name = "pbgi-info", version, max_term_width = 100)]
+struct Args {
+    /// Octree file
+    #[arg(value_name = "SCENE.pbgi")]
+    file: PathBuf,
+    /// Read every page and check every invariant
+    #[arg(long)]
+    verify: bool,
+    /// Count levels, leaf sizes, lobes and page sizes (verifies, too)
+    #[arg(long)]
+    histogram: bool,
+    /// Print everything as JSON
+    #[arg(long)]
+    json: bool,
+    /// Write all surfels to this file, in the file's order
+    #[arg(long, value_name = "OUT.ply")]
+    points: Option<PathBuf>,
+    /// Replace the file of --points if it exists
+    #[arg(long)]
+    force: bool,
+    #[command(flatten)]
+    common: CommonArgs,
+}
+
+fn run(args: &Args, cancel: &AtomicBool) -> Result<(), PbgiError> {
+    args.common.check()?;
+    let info = OctreeInfo::read(&args.file)?;
+    let is_read = args.verify || args.histogram;
+    let progress =
+        args.common.start_progress(u32::from(is_read) + u32::from(args.points.is_some()));
+    if !args.json {
+        cli::print(&cli::format_table(&info.rows()))?;
+    }
+    let check =
+        is_read.then(|| check_file(args, info.file_bytes, &progress, cancel)).transpose()?;
+    if let Some(check) = &check
+        && !args.json
+    {
+        print_check(args, check)?;
+    }
+    if args.json {
+        let object = serde_json::json!({ "header": info, "contents": check });
+        cli::write_json(Path::new("-"), &object)?;
+    }
+    if let Some(points) = &args.points {
+        let (limit, force) = (args.common.memory_limit, args.force);
+        pbgi::export_points(&args.file, points, force, limit, &progress, cancel)?;
+    }
+    Ok(())
+}
+
+fn check_file(
+    args: &Args,
+    file_bytes: u64,
+    progress: &Progress,
+    cancel: &AtomicBool,
+) -> Result<OctreeCheck, PbgiError> {
+    let phase = progress.start_phase("verify", "bytes", Some(file_bytes));
+    OctreeCheck::read(&args.file, args.common.memory_limit, |bytes| {
+        phase.set_done(bytes);
+        if cancel.load(Ordering::Relaxed) {
+            // Only reading so far: there is nothing to clean up.
+            std::process::exit(i32::from(cli::EXIT_INTERRUPTED));
+        }
+    })
+}
+
+fn print_check(args: &Args, check: &OctreeCheck) -> Result<(), PbgiError> {
+    if args.histogram {
+        cli::print(&format!("\n{}", check.histograms()))?;
+    }
+    let mib_per_second = check.bytes_per_second() / f64::from(1 << 20);
+    cli::print(&format!(
+        "\nverified: every page, link, box and total is sound; {} in {}, {mib_per_second:.0} MiB/s\n",
+        cli::format_bytes(check.bytes_read),
+        cli::format_seconds(check.seconds),
+    ))
+}
+
+fn main() -> ExitCode {
+    let args = Args::parse();
+    cli::run("pbgi-info", |cancel| run(&args, cancel))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn options_are_consistent() {
+        Args::command().debug_assert();
+    }
+}
