@@ -5,3 +5,4 @@ mod closed_forms;
 mod format_document;
 mod octree_file;
 mod support;
+mod walk;

@@ -49,7 +49,7 @@ struct Args {
 #[command(next_help_heading = "Surfels")]
 struct SurfelArgs {
     /// Longest micropolygon edge of meshes, in scene units
-    #[arg(long, value_name = "LENGTH", conflicts_with = "surfels")]
+    #[arg(long, value_name = "LENGTH", conflicts_with = "surfels", allow_negative_numbers = true)]
     spacing: Option<f32>,
     /// Surfels of all meshes together, such as 2M; a million if not given
     #[arg(long, value_name = "COUNT", value_parser = cli::parse_count)]
@@ -79,7 +79,7 @@ struct LightArgs {
     #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
     env_rotate: f32,
     /// Factor on the environment
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, allow_negative_numbers = true)]
     env_scale: f32,
     /// How often light passes from surfel to surfel
     #[arg(long, value_name = "N", default_value_t = 0)]

@@ -1,0 +1,105 @@
+//! Every kind of input bakes, and means the same in each format.
+
+use crate::support::{Bench, Ply, ply, ply_sphere, shared, sphere};
+use std::f64::consts::PI;
+
+#[test]
+fn ply_clouds_mean_the_same_in_all_three_formats() {
+    let bench = Bench::new();
+    for (name, format) in [("a", Ply::Ascii), ("l", Ply::Little), ("b", Ply::Big)] {
+        bench.write(&format!("{name}.ply"), ply_sphere(5000, format));
+        // Without -o the output is named after the input.
+        let info = bench.bake(&[&format!("{name}.ply")], &format!("{name}.pbgi"));
+        assert_eq!((info.surfels, info.channels, info.up), (5000, "rgb", "+y"));
+        assert!((info.area_total / (8.0 * PI) - 1.0).abs() < 1e-3, "{}", info.area_total);
+    }
+    assert!(bench.read("a.pbgi") == bench.read("l.pbgi"));
+    assert!(bench.read("l.pbgi") == bench.read("b.pbgi"));
+}
+
+#[test]
+fn bare_points_get_sizes_and_normals() {
+    let bench = Bench::new();
+    let points: Vec<f32> = sphere(20_000).into_iter().flatten().collect();
+    bench.write("p.ply", ply(&["x", "y", "z"], points, Ply::Little));
+    let info = bench.bake(&["p.ply", "--stats-json", "s.json"], "p.pbgi");
+    // 4π, within what the density of 12 neighbors tells.
+    assert!((info.area_total / (4.0 * PI) - 1.0).abs() < 0.1, "{}", info.area_total);
+    assert!(!info.isotropic);
+    let stats: serde_json::Value = serde_json::from_slice(&bench.read("s.json")).unwrap();
+    assert_eq!(stats["estimated_sizes"], 20_000);
+    assert_eq!(stats["estimated_normals"], 20_000);
+    let info = bench.bake(&["p.ply", "--normals", "isotropic", "--force"], "p.pbgi");
+    assert!(info.isotropic);
+}
+
+#[test]
+fn meshes_are_diced_as_finely_as_asked() {
+    let bench = Bench::new();
+    bench.write("q.obj", "v 0 0 0\nv 2 0 0\nv 2 2 0\nv 0 2 0\nf 1 2 3\nf 1 3 4\n");
+    let info = bench.bake(&["q.obj", "--spacing", "0.1", "-o", "s.pbgi"], "s.pbgi");
+    assert!((400..1000).contains(&info.surfels), "{}", info.surfels);
+    assert!((info.area_total - 4.0).abs() < 1e-3);
+    let info = bench.bake(&["q.obj", "--surfels", "20k", "-o", "c.pbgi"], "c.pbgi");
+    assert!((info.surfels as f64 / 2e4 - 1.0).abs() < 0.05, "{}", info.surfels);
+    let all = ["q.obj", "--surfels", "20k", "--two-sided", "all", "-o", "t.pbgi"];
+    let info = bench.bake(&all, "t.pbgi");
+    assert!((info.area_total - 8.0).abs() < 1e-3);
+}
+
+#[test]
+fn procedural_scenes_and_several_inputs_bake_as_one() {
+    let bench = Bench::new();
+    bench.write("a.ply", ply_sphere(1000, Ply::Ascii));
+    let run = ["demo:room?surfels=3k", "a.ply", "-o", "two.pbgi", "--up", "z"];
+    let info = bench.bake(&run, "two.pbgi");
+    assert!((3800..4300).contains(&info.surfels), "{}", info.surfels);
+    assert_eq!(info.up, "+z");
+}
+
+#[test]
+fn raw_streams_are_read_from_standard_input() {
+    let bench = Bench::new();
+    let raw = raw_stream(&sphere(3000));
+    let run = bench.run_with_input(&["-", "-o", "raw.pbgi", "--stats-json", "-"], &raw);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let stats: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
+    assert_eq!(stats["surfels"], 3000);
+    assert_eq!(bench.check("raw.pbgi").surfels, 3000);
+    // The layout of the file knows nothing of where it came from.
+    bench.write("raw.pbgisurf", &raw);
+    bench.bake(&["raw.pbgisurf", "-o", "file.pbgi"], "file.pbgi");
+    assert!(bench.read("raw.pbgi") == bench.read("file.pbgi"));
+}
+
+/// Version 1, records of 32 bytes, count unknown.
+fn raw_stream(points: &[[f32; 3]]) -> Vec<u8> {
+    let mut bytes = b"PBGISURF".to_vec();
+    bytes.extend(1u32.to_le_bytes());
+    bytes.extend(1u32.to_le_bytes());
+    bytes.extend(u64::MAX.to_le_bytes());
+    bytes.resize(64, 0);
+    for point in points {
+        bytes.extend(point.iter().flat_map(|c| c.to_le_bytes()));
+        bytes.extend([0.05f32, 0.004].iter().flat_map(|c| c.to_le_bytes()));
+        // Normal code, radiance, flags.
+        bytes.extend([0; 12]);
+    }
+    bytes
+}
+
+#[test]
+fn files_of_the_shared_data_bake() {
+    let bench = Bench::new();
+    if let Some(room) = shared("reference/room.glb") {
+        let info = bench.bake(&[&room, "--surfels", "100k", "-o", "room.pbgi"], "room.pbgi");
+        assert!((info.surfels as f64 / 1e5 - 1.0).abs() < 0.05, "{}", info.surfels);
+        // Its lamp shines.
+        assert!(info.flux_total.iter().all(|f| *f > 0.0));
+    }
+    if let Some(scan) = shared("data/autzen_stadium.laz") {
+        let info = bench.bake(&[&scan, "-o", "scan.pbgi"], "scan.pbgi");
+        assert_eq!((info.up, info.channels, info.albedo), ("+z", "none", true));
+        assert!(info.origin[0] > 1e5 && info.surfels > 2_000_000);
+    }
+}

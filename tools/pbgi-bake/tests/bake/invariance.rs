@@ -1,0 +1,102 @@
+//! Threads, memory and folders never change a byte; nothing is left behind.
+
+use crate::support::{Bench, Ply, ply, ply_sphere, sphere};
+
+#[test]
+fn threads_budgets_and_folders_never_change_a_byte() {
+    let bench = Bench::new();
+    std::fs::create_dir(bench.path("tmp")).unwrap();
+    let mut files = Vec::new();
+    for (threads, memory) in [("1", "64MiB"), ("2", "64MiB"), ("2", "150MiB"), ("1", "1GiB")] {
+        // More surfels than the smallest budget sorts in memory.
+        let args = ["demo:room?surfels=800k", "-o", "room.pbgi", "--force", "--temp-dir", "tmp"];
+        let args = [&args[..], &["--threads", threads, "--memory-limit", memory]].concat();
+        bench.bake(&args, "room.pbgi");
+        files.push(bench.read("room.pbgi"));
+    }
+    assert!(files.iter().all(|file| *file == files[0]));
+    assert_eq!(bench.files(), ["room.pbgi", "tmp"]);
+    assert_eq!(std::fs::read_dir(bench.path("tmp")).unwrap().count(), 0);
+}
+
+#[test]
+fn runs_on_disk_keep_to_the_smallest_budget() {
+    let bench = Bench::new();
+    bench.write("s.ply", ply_sphere(1_500_000, Ply::Little));
+    let args = ["s.ply", "--memory-limit", "64MiB", "--stats-json", "s.json"];
+    bench.bake(&args, "s.pbgi");
+    let stats: serde_json::Value = serde_json::from_slice(&bench.read("s.json")).unwrap();
+    assert!(stats["sorted_runs"].as_u64().unwrap() > 1, "{stats}");
+    if let Some(peak) = stats["memory_peak_bytes"].as_u64() {
+        assert!(peak <= 64 << 20, "{peak}");
+    }
+}
+
+#[test]
+fn baked_light_is_the_same_for_all_threads_and_budgets() {
+    let bench = Bench::new();
+    write_gray_environment(&bench);
+    let mut files = Vec::new();
+    for (threads, memory) in [("1", "64MiB"), ("2", "100MiB"), ("2", "1GiB")] {
+        let args = ["demo:cornell?surfels=4k", "--env", "sky.hdr", "--bounces", "2", "--force"];
+        let args = [&args[..], &["--threads", threads, "--memory-limit", memory]].concat();
+        bench.bake(&args, "cornell.pbgi");
+        files.push(bench.read("cornell.pbgi"));
+    }
+    assert!(files.iter().all(|file| *file == files[0]));
+    assert_eq!(bench.files(), ["cornell.pbgi", "sky.hdr"]);
+}
+
+#[test]
+fn an_open_plane_under_a_gray_sky_reflects_its_albedo() {
+    let bench = Bench::new();
+    write_gray_environment(&bench);
+    // A square facing up, albedo 0.5 by default: radiance 0.5 under a sky of radiance 1.
+    let edge = 40;
+    let (mut values, step) = (Vec::new(), 1.0 / edge as f32);
+    for i in 0..edge * edge {
+        let (x, z) = ((i % edge) as f32 * step, (i / edge) as f32 * step);
+        values.extend([x, 0.0, z, 0.0, 1.0, 0.0, step, step * step]);
+    }
+    let columns = ["x", "y", "z", "nx", "ny", "nz", "radius", "area"];
+    bench.write("plane.ply", ply(&columns, values, Ply::Little));
+    let info = bench.bake(&["plane.ply", "--env", "sky.hdr"], "plane.pbgi");
+    let radiance = info.flux_total[0] / info.area_total;
+    // Cube raster of 6 x 6 texels: its horizon is coarse.
+    assert!((radiance / 0.5 - 1.0).abs() < 0.03, "{radiance}");
+    // A convex cloud has no bounces.
+    let more = ["plane.ply", "--env", "sky.hdr", "--bounces", "1", "-o", "more.pbgi"];
+    let info = bench.bake(&more, "more.pbgi");
+    assert!((info.flux_total[0] / info.area_total / radiance - 1.0).abs() < 0.01);
+}
+
+#[test]
+fn bounces_add_light_to_a_room_with_a_lamp() {
+    let bench = Bench::new();
+    let mut fluxes = Vec::new();
+    for bounces in ["0", "1", "2"] {
+        let args = ["demo:room?surfels=6k", "--bounces", bounces, "--force"];
+        fluxes.push(bench.bake(&args, "room.pbgi").flux_total[1]);
+    }
+    let gains = [fluxes[1] - fluxes[0], fluxes[2] - fluxes[1]];
+    assert!(gains[0] > 0.0 && gains[1] > 0.0, "{fluxes:?}");
+    // Each bounce reflects less than it received.
+    assert!(gains[1] < gains[0], "{fluxes:?}");
+}
+
+#[test]
+fn light_that_cannot_be_is_a_warning() {
+    let bench = Bench::new();
+    let points: Vec<f32> = sphere(500).into_iter().flat_map(|[x, y, z]| [x, y, z, 0.1]).collect();
+    bench.write("dark.ply", ply(&["x", "y", "z", "radius"], points, Ply::Little));
+    let run = bench.run(&["dark.ply", "--bounces", "1"]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    assert!(run.stderr.contains("nothing shines"), "{}", run.stderr);
+}
+
+/// An equirectangular image of radiance 1, in the flat form of Radiance HDR.
+fn write_gray_environment(bench: &Bench) {
+    let mut bytes = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4 +X 8\n".to_vec();
+    bytes.extend([128, 128, 128, 129].repeat(32));
+    bench.write("sky.hdr", bytes);
+}
