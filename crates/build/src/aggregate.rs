@@ -45,8 +45,9 @@ impl LobeSum {
 
     /// What is lost by summing two lobes, in units of area; infinite where they must stay apart.
     ///
-    /// Parallel lobes sum without loss, whatever their radiance; else the loss is the part of the vector areas that cancels,
-    /// weighted up by the contrast of their radiance, plus a term for a flat lobe meeting a round one.
+    /// Parallel lobes of similar radiance sum without loss; else the loss is the part of the vector areas that cancels,
+    /// weighted up by the contrast of their radiance, plus a term for a flat lobe meeting a round one, and one
+    /// that keeps lamps apart from the walls they hang on: what shines must not be averaged with what it hides.
     fn merge_cost(&self, other: &Self) -> f64 {
         if self.blocks_back != other.blocks_back {
             return f64::INFINITY;
@@ -56,7 +57,10 @@ impl LobeSum {
         let (l, m) = (luminance(self.radiance()), luminance(other.radiance()));
         let contrast = if l + m > 0.0 { f64::from((l - m).abs() / (l + m)) } else { 0.0 };
         let roundness = (v / self.area - w / other.area).abs() * self.area.min(other.area);
-        cancelled * (1.0 + 2.0 * contrast) + 0.25 * contrast * roundness
+        let glare = ((contrast - LAMP_CONTRAST) / (1.0 - LAMP_CONTRAST)).max(0.0);
+        cancelled * (1.0 + 2.0 * contrast)
+            + 0.25 * contrast * roundness
+            + glare * self.area.min(other.area)
     }
 
     /// The stored form.
@@ -96,6 +100,9 @@ fn solve_width(length: f64, area: f64) -> f64 {
     }
     0.5 * (low + high)
 }
+
+/// Contrast `(L − M)/(L + M)` above which one surface is a lamp beside the other: eight to one.
+const LAMP_CONTRAST: f64 = 7.0 / 9.0;
 
 /// Lobes that sum with less loss than this share of their node's area do so even where there is
 /// room for more.

@@ -1,7 +1,7 @@
 //! When a node is small enough to stand for its surfels, and what it then shows.
 
-use pbgi_format::{Lobe, SurfelLayout};
-use pbgi_math::{Vec3, box_silhouette, sphere_sin2_for_solid_angle};
+use pbgi_format::{LOBES_MAX, Lobe, SurfelLayout};
+use pbgi_math::{Vec3, box_silhouette, luminance, sphere_sin2_for_solid_angle};
 
 /// How large a node may be to be taken as one.
 pub trait Threshold {
@@ -78,14 +78,14 @@ impl Cluster {
             sum.add(&lobe, toward_receiver);
         }
         let shown = sum.solid + sum.sheets;
-        let inverse = if shown > 0.0 { 1.0 / shown } else { 0.0 };
+        let silhouette = box_silhouette(half, toward_receiver);
         let radius = half.length();
         let mut cluster = Self {
             low,
             high,
-            silhouette: box_silhouette(half, toward_receiver),
+            silhouette,
             solid: sum.solid + sum.back >= sum.sheets,
-            radiance: sum.intensity.map(|i| i * inverse),
+            radiance: sum.visible_radiance(silhouette),
             near: distance - radius,
             far: distance + radius,
             ..Self::default()
@@ -110,7 +110,9 @@ struct LobeSums {
     solid: f32,
     sheets: f32,
     back: f32,
-    intensity: [f32; 3],
+    /// Front area and radiance of each lobe.
+    fronts: [(f32, [f32; 3]); LOBES_MAX],
+    count: usize,
     /// Largest front area of a flat sheet.
     flat_sheet: f32,
 }
@@ -129,8 +131,30 @@ impl LobeSums {
             }
         }
         self.back += back;
-        for (sum, radiance) in self.intensity.iter_mut().zip(lobe.radiance) {
-            *sum += front * radiance;
+        if self.count < LOBES_MAX {
+            self.fronts[self.count] = (front, lobe.radiance);
+            self.count += 1;
         }
+    }
+
+    /// Mean radiance of what can be seen of the lobes: where their areas exceed the silhouette some hide others, and
+    /// what shines is taken to be in front. A lamp before a wall keeps its flux.
+    #[inline(always)]
+    fn visible_radiance(&mut self, silhouette: f32) -> [f32; 3] {
+        let fronts = &mut self.fronts[..self.count];
+        if fronts.len() > 1 && self.solid + self.sheets > silhouette {
+            fronts.sort_unstable_by(|a, b| luminance(b.1).total_cmp(&luminance(a.1)));
+        }
+        let (mut rest, mut seen, mut intensity) = (silhouette, 0.0, [0.0; 3]);
+        for (area, radiance) in fronts.iter() {
+            let area = area.min(rest);
+            rest -= area;
+            seen += area;
+            for (sum, l) in intensity.iter_mut().zip(radiance) {
+                *sum += area * l;
+            }
+        }
+        let inverse = if seen > 0.0 { 1.0 / seen } else { 0.0 };
+        intensity.map(|i| i * inverse)
     }
 }

@@ -160,7 +160,8 @@ pub fn pick_cut<V: CutVisitor, T: Threshold>(
         };
         if !large {
             let lobes = group.lobe_bytes(index, layout.channels);
-            visitor.take_cluster(&Cluster::from_lobes(low, high, lobes, &layout));
+            let cluster = Cluster::from_lobes(low, high, lobes, &layout);
+            visitor.take_cluster(&cluster);
             stats.clusters += 1;
             continue;
         }

@@ -15,7 +15,7 @@ const OPAQUE: f32 = 0.999;
 /// Footprints of neighboring pieces sum to one only on average: where they overlap the sum saturates, where they
 /// part it falls short, and light would leak through walls. A texel that is truly covered by seven eighths and more,
 /// at the edge of something solid, gains a sixteenth on average; that is 0.4 % of a silhouette's texels' area.
-const SOLID_WHOLE: f32 = 0.875;
+pub(crate) const SOLID_WHOLE: f32 = 0.875;
 
 /// What never changes for a resolution: geometry of the texels, in padded rows.
 #[derive(Clone, Debug)]
@@ -332,7 +332,9 @@ impl CubeRaster {
             let layer = if (layer >= ink.whole) & (weight > 0.0) { 1.0 } else { layer };
             passed[lane] = 1.0 - open;
             layers[lane] = layer;
-            fars[lane] = if weight > 0.0 { larger(far, ink.far) } else { far };
+            // Sheets start layers but do not extend them: a crown of leaves is not one surface.
+            let extends = (weight > 0.0) & ((ink.whole < 1.0) | behind);
+            fars[lane] = if extends { larger(far, ink.far) } else { far };
             let total = 1.0 - open * (1.0 - layer);
             totals[lane] = total;
             shown[lane] = larger(total - before, 0.0) * (front / larger(added, 1e-30));

@@ -1,6 +1,6 @@
 //! Near disks: intersected with the directions of each texel.
 
-use crate::cube::{CubeRaster, Ink, LANES};
+use crate::cube::{CubeRaster, Ink, LANES, SOLID_WHOLE};
 use crate::footprint::project_box;
 use pbgi_math::{Aabb, CubeFace, Vec3};
 
@@ -15,32 +15,38 @@ pub struct Disk {
     pub radius: f32,
 }
 
+/// How a disk is drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DiskInk {
+    /// Share of the light from behind that the disk blocks, 0..=1.
+    pub opacity: f32,
+    /// Does nothing where it is seen from behind.
+    pub front_only: bool,
+    /// Is a piece of a solid thing's surface, see [`crate::Splat::solid`].
+    pub solid: bool,
+    /// Radiance of the front.
+    pub radiance: [f32; 3],
+}
+
 /// Directions per texel edge that are tested.
 const SAMPLES: usize = 4;
 
 impl CubeRaster {
     /// Draws a disk exactly: each texel's coverage is the share of 4 × 4 directions in it that meet
-    /// the disk farther than `distance_min` away. Facing disks shine, others are black; where
-    /// `front_only`, those do nothing.
+    /// the disk farther than `distance_min` away. Facing disks shine, others are black.
     #[inline(always)]
-    pub fn draw_disk(
-        &mut self,
-        disk: &Disk,
-        front_only: bool,
-        radiance: &[f32; 3],
-        distance_min: f32,
-    ) {
+    pub fn draw_disk(&mut self, disk: &Disk, style: &DiskInk, distance_min: f32) {
         let height = disk.center.dot(disk.normal);
         // The front faces the receiver where the receiver lies on its normal's side.
         let facing = height < 0.0;
-        if height == 0.0 || (front_only && !facing) {
+        if height == 0.0 || (style.front_only && !facing) {
             return;
         }
-        let (front, back) = if facing { (1.0, 0.0) } else { (0.0, 1.0) };
+        let (front, back) = if facing { (style.opacity, 0.0) } else { (0.0, style.opacity) };
         let distance = disk.center.length();
         let (near, far) = (distance - disk.radius, distance + disk.radius);
-        let whole = 1.0;
-        let ink = Ink { front, back, whole, radiance: *radiance, near, far };
+        let whole = if style.solid { SOLID_WHOLE } else { 1.0 };
+        let ink = Ink { front, back, whole, radiance: style.radiance, near, far };
         let aabb = Aabb::from_disk(disk.center, disk.normal, disk.radius);
         if aabb.contains(Vec3::ZERO) {
             // The receiver is within the box: any face may see the disk.
@@ -121,11 +127,14 @@ mod tests {
     use crate::cube::CubeRasterTable;
     use std::f32::consts::PI;
 
+    const INK: DiskInk =
+        DiskInk { opacity: 1.0, front_only: false, solid: false, radiance: [1.0; 3] };
+
     fn irradiance(n: usize, disk: &Disk, receiver_normal: Vec3) -> f32 {
         let table = CubeRasterTable::new(n);
         let mut raster = CubeRaster::new(&table, true);
         raster.clear(receiver_normal);
-        raster.draw_disk(disk, false, &[1.0; 3], 0.0);
+        raster.draw_disk(disk, &INK, 0.0);
         let texels = table.texels().iter().enumerate();
         texels.map(|(i, t)| raster.radiance()[0][i] * receiver_normal.dot(t.vector).max(0.0)).sum()
     }
@@ -172,10 +181,10 @@ mod tests {
         let mut raster = CubeRaster::new(&table, false);
         let disk = Disk { center: Vec3::Y * 0.01, normal: Vec3::NEG_Y, radius: 1.0 };
         raster.clear(Vec3::Y);
-        raster.draw_disk(&disk, false, &[0.0; 3], 0.05);
+        raster.draw_disk(&disk, &INK, 0.05);
         let up = table.texel_index(Vec3::new(0.01, 1.0, 0.01));
         assert_eq!(raster.openness(up), 1.0);
-        raster.draw_disk(&disk, false, &[0.0; 3], 0.0);
+        raster.draw_disk(&disk, &INK, 0.0);
         assert_eq!(raster.openness(up), 0.0);
     }
 
@@ -185,10 +194,10 @@ mod tests {
         let mut raster = CubeRaster::new(&table, true);
         raster.clear(Vec3::Y);
         let away = Disk { center: Vec3::Y, normal: Vec3::Y, radius: 1.0 };
-        raster.draw_disk(&away, true, &[1.0; 3], 0.0);
+        raster.draw_disk(&away, &DiskInk { front_only: true, ..INK }, 0.0);
         let up = table.texel_index(Vec3::new(0.01, 1.0, 0.01));
         assert_eq!(raster.openness(up), 1.0);
-        raster.draw_disk(&away, false, &[1.0; 3], 0.0);
+        raster.draw_disk(&away, &INK, 0.0);
         assert_eq!((raster.openness(up), raster.radiance()[0][up]), (0.0, 0.0));
     }
 }

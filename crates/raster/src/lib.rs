@@ -10,7 +10,7 @@ mod simd;
 mod window;
 
 pub use cube::{CubeRaster, CubeRasterTable, LANES, Splat};
-pub use disk::Disk;
+pub use disk::{Disk, DiskInk};
 pub use footprint::{FaceRectangle, project_box};
 pub use simd::{SimdLevel, run_wide};
 pub use window::{Window, WindowRaster};

@@ -152,6 +152,7 @@ impl WindowRaster {
         &mut self,
         window: &Window,
         disk: &crate::Disk,
+        opacity: f32,
         front_only: bool,
         distance_min: f32,
     ) {
@@ -160,7 +161,7 @@ impl WindowRaster {
         if height == 0.0 || (front_only && !facing) {
             return;
         }
-        let (front, back) = if facing { (1.0, 0.0) } else { (0.0, 1.0) };
+        let (front, back) = if facing { (opacity, 0.0) } else { (0.0, opacity) };
         let aabb = Aabb::from_disk(disk.center, disk.normal, disk.radius);
         let Some([x0, x1, y0, y1]) = self.project_box(window, aabb.min, aabb.max) else { return };
         let (c0, c1) = self.span(x0, x1);
@@ -224,12 +225,12 @@ mod tests {
         let disk =
             Disk { center: axis * 10.0 + window.frame.tangent * 5.0, normal: -axis, radius: 5.0 };
         assert!(raster.is_box_open(&window, axis * 10.0 - 0.1, axis * 10.0 + 0.1));
-        raster.draw_disk(&window, &disk, false, 0.0);
+        raster.draw_disk(&window, &disk, 1.0, false, 0.0);
         assert!((open_share(&raster) - 0.5).abs() < 0.07);
         let full = Disk { center: axis * 12.0, normal: axis, radius: 5.0 };
-        raster.draw_disk(&window, &full, true, 0.0);
+        raster.draw_disk(&window, &full, 1.0, true, 0.0);
         assert!((open_share(&raster) - 0.5).abs() < 0.07);
-        raster.draw_disk(&window, &full, false, 0.0);
+        raster.draw_disk(&window, &full, 1.0, false, 0.0);
         assert!(raster.is_closed());
         assert!(!raster.is_box_open(&window, axis * 20.0 - 0.1, axis * 20.0 + 0.1));
     }
