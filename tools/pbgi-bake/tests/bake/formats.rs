@@ -60,7 +60,7 @@ fn procedural_scenes_and_several_inputs_bake_as_one() {
 #[test]
 fn raw_streams_are_read_from_standard_input() {
     let bench = Bench::new();
-    let raw = raw_stream(&sphere(3000));
+    let raw = raw_stream(&sphere(3000), 0);
     let run = bench.run_with_input(&["-", "-o", "raw.pbgi", "--stats-json", "-"], &raw);
     assert_eq!(run.code, 0, "{}", run.stderr);
     let stats: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
@@ -72,8 +72,15 @@ fn raw_streams_are_read_from_standard_input() {
     assert!(bench.read("raw.pbgi") == bench.read("file.pbgi"));
 }
 
+#[test]
+fn particles_of_raw_streams_stay_isotropic() {
+    let bench = Bench::new();
+    bench.write("p.pbgisurf", raw_stream(&sphere(500), 1));
+    assert!(bench.bake(&["p.pbgisurf"], "p.pbgi").isotropic);
+}
+
 /// Version 1, records of 32 bytes, count unknown.
-fn raw_stream(points: &[[f32; 3]]) -> Vec<u8> {
+fn raw_stream(points: &[[f32; 3]], flags: u16) -> Vec<u8> {
     let mut bytes = b"PBGISURF".to_vec();
     bytes.extend(1u32.to_le_bytes());
     bytes.extend(1u32.to_le_bytes());
@@ -82,8 +89,9 @@ fn raw_stream(points: &[[f32; 3]]) -> Vec<u8> {
     for point in points {
         bytes.extend(point.iter().flat_map(|c| c.to_le_bytes()));
         bytes.extend([0.05f32, 0.004].iter().flat_map(|c| c.to_le_bytes()));
-        // Normal code, radiance, flags.
-        bytes.extend([0; 12]);
+        // Normal code and radiance.
+        bytes.extend([0; 10]);
+        bytes.extend(flags.to_le_bytes());
     }
     bytes
 }
