@@ -109,19 +109,3 @@ fn error_falls_with_the_threshold() {
     let (coarse, fine) = (error(0.1), error(0.003));
     assert!(coarse < 0.06 && fine < 0.02 && fine < coarse, "{coarse} {fine}");
 }
-
-#[test]
-fn zz_debug() {
-    let half = Vec3::new(2.0, 1.3, 1.7);
-    for per_edge in [40] {
-    let surfels = closed_room(half, per_edge, 1.0);
-    let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
-    for (position, normal) in [(Vec3::new(-2.0, -0.146, -1.4875), Vec3::X), (Vec3::new(0.3, 0.2, 0.1), Vec3::new(0.3,0.5,0.8).normalize())] {
-        for n in [8] {
-        for solid_angle_sr in [0.03, 0.0] {
-            let settings = GatherSettings { solid_angle_sr, raster_edge: n, ..GatherSettings::default() };
-            let found = gather(&octree, &settings, Receiver { position, normal });
-            println!("dbg {per_edge} {n} {position} {solid_angle_sr} {:.4} {:.4} cut {}", found.surface_irradiance[0] / PI, found.ambient_occlusion, found.cut_size);
-        }}
-    }}
-}

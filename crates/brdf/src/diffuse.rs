@@ -122,7 +122,8 @@ pub fn convolve_diffuse(
         let (ru, rv) = (dot(&table.reach_u, normal), dot(&table.reach_v, normal));
         let weight: [f32; LANES] =
             std::array::from_fn(|i| clamped_weight(cosine[i], ru[i].abs() + rv[i].abs()));
-        let open: [f32; LANES] = std::array::from_fn(|i| raster.openness(start + i));
+        let chunk = raster.chunk(start / LANES);
+        let open: [f32; LANES] = std::array::from_fn(|i| 1.0 - chunk.covered[i]);
         let height = dot(&table.vector, up);
         let omega = lanes(&table.solid_angle_sr);
         for i in 0..LANES {
@@ -148,9 +149,8 @@ pub fn convolve_diffuse(
                 }
             }
         }
-        if !raster.radiance()[0].is_empty() {
-            for (sum, plane) in surface.iter_mut().zip(raster.radiance()) {
-                let light = lanes(plane);
+        if raster.shines() {
+            for (sum, light) in surface.iter_mut().zip(&chunk.radiance) {
                 for i in 0..LANES {
                     sum[i] += light[i] * weight[i];
                 }

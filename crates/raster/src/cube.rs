@@ -7,6 +7,9 @@ use pbgi_math::{CubeFace, CubeMap, CubeTexel, Vec3};
 /// Texels that are updated together; rows are padded to a multiple.
 pub const LANES: usize = 8;
 
+/// Lanes as floats: converting them in the loop would leave the vector units.
+pub(crate) const LANE_NUMBERS: [f32; LANES] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
+
 /// Coverage from which on a texel counts as opaque.
 const OPAQUE: f32 = 0.999;
 
@@ -118,6 +121,23 @@ pub(crate) struct Ink {
     pub far: f32,
 }
 
+/// Eight texels of a row.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(C, align(32))]
+pub struct TexelChunk {
+    /// Coverage by all layers.
+    pub covered: [f32; LANES],
+    /// Radiance of the surfaces in each texel, weighted by the share of the texel they show.
+    pub radiance: [[f32; LANES]; 3],
+    /// Coverage by the layers before the current one, by the current one alone, and how far the
+    /// current one reaches.
+    passed: [f32; LANES],
+    layer: [f32; LANES],
+    layer_far: [f32; LANES],
+    /// Facing coverage that no coverage by surfaces turned away has matched yet.
+    unmatched: [f32; LANES],
+}
+
 /// Six faces of texels around a receiver, aligned with the world.
 ///
 /// Splats arrive nearest first. Those whose depths overlap or touch are pieces of one surface, which do not
@@ -135,15 +155,7 @@ pub struct CubeRaster {
     n: usize,
     stride: usize,
     shines: bool,
-    /// Coverage by all layers, by the layers before the current one, by the current one alone, and how
-    /// far the current one reaches.
-    covered: Vec<f32>,
-    passed: Vec<f32>,
-    layer: Vec<f32>,
-    layer_far: Vec<f32>,
-    /// Facing coverage that no coverage by surfaces turned away has matched yet.
-    unmatched: Vec<f32>,
-    radiance: [Vec<f32>; 3],
+    chunks: Vec<TexelChunk>,
     /// Texels that are not opaque, one bit each, per row of each face.
     open: Vec<u64>,
     /// Scale from face coordinates to texels: `n / 2`.
@@ -157,18 +169,11 @@ impl CubeRaster {
     #[must_use]
     pub fn new(table: &CubeRasterTable, shines: bool) -> Self {
         let (n, stride) = (table.edge(), table.stride());
-        let texels = 6 * n * stride;
-        let light = if shines { texels } else { 0 };
         Self {
             n,
             stride,
             shines,
-            covered: vec![0.0; texels],
-            passed: vec![0.0; texels],
-            layer: vec![0.0; texels],
-            layer_far: vec![0.0; texels],
-            unmatched: vec![0.0; texels],
-            radiance: std::array::from_fn(|_| vec![0.0; light]),
+            chunks: vec![TexelChunk::default(); 6 * n * stride / LANES],
             open: vec![0; 6 * n],
             scale: 0.5 * n as f32,
             inverse_density: (0..n * n)
@@ -184,13 +189,7 @@ impl CubeRaster {
     /// opaque from the start.
     #[inline(always)]
     pub fn clear(&mut self, normal: Vec3) {
-        let Self { covered, passed, layer, layer_far, unmatched, .. } = self;
-        for plane in [covered, passed, layer, layer_far, unmatched] {
-            plane.fill(0.0);
-        }
-        for plane in &mut self.radiance {
-            plane.fill(0.0);
-        }
+        self.chunks.fill(TexelChunk::default());
         let step = 1.0 / self.scale;
         for face in CubeFace::ALL {
             let [ua, va] = face.uv_axes();
@@ -290,9 +289,10 @@ impl CubeRaster {
             }
             let covered = larger(smaller(v1, row as f32 + 1.0) - larger(v0, row as f32), 0.0);
             for chunk in chunks.clone() {
+                let first = (chunk * LANES) as u32 as f32;
                 let mut weights = [0.0; LANES];
                 for (lane, weight) in weights.iter_mut().enumerate() {
-                    let column = (chunk * LANES + lane) as f32;
+                    let column = first + LANE_NUMBERS[lane];
                     let part = smaller(u1, column + 1.0) - larger(u0, column);
                     *weight = larger(part, 0.0) * covered;
                 }
@@ -310,48 +310,50 @@ impl CubeRaster {
         weights: &[f32; LANES],
         ink: &Ink,
     ) {
-        let start = row_index * self.stride + chunk * LANES;
-        let totals = lanes(&mut self.covered, start);
-        let passed = lanes(&mut self.passed, start);
-        let layers = lanes(&mut self.layer, start);
-        let fars = lanes(&mut self.layer_far, start);
-        let unmatched = lanes(&mut self.unmatched, start);
-        let mut shown = [0.0; LANES];
+        let texels = &mut self.chunks[row_index * (self.stride / LANES) + chunk];
+        // Worked on in local arrays and written back whole, so that lanes become registers.
+        let before = texels.covered;
+        let (mut passed, mut layer) = (texels.passed, texels.layer);
+        let (mut far, mut unmatched) = (texels.layer_far, texels.unmatched);
+        let (mut total, mut shown) = ([0.0f32; LANES], [0.0f32; LANES]);
+        let extends_always = ink.whole < 1.0;
         for lane in 0..LANES {
             let weight = weights[lane];
-            let behind = (weight > 0.0) & (ink.near > fars[lane]);
-            let before = totals[lane];
-            let open = 1.0 - if behind { before } else { passed[lane] };
-            let layer = if behind { 0.0 } else { layers[lane] };
-            let far = if behind { 0.0 } else { fars[lane] };
+            let inked = weight > 0.0;
+            let behind = inked & (ink.near > far[lane]);
+            passed[lane] = if behind { before[lane] } else { passed[lane] };
+            let old_layer = if behind { 0.0 } else { layer[lane] };
+            let old_far = if behind { 0.0 } else { far[lane] };
             let front = ink.front * weight;
             let surplus = ink.back * weight - (unmatched[lane] + front);
             unmatched[lane] = larger(-surplus, 0.0);
             let added = front + larger(surplus, 0.0);
-            let layer = layer + added;
-            let layer = if (layer >= ink.whole) & (weight > 0.0) { 1.0 } else { layer };
-            passed[lane] = 1.0 - open;
-            layers[lane] = layer;
+            let new_layer = old_layer + added;
+            let whole = inked & (new_layer >= ink.whole);
+            layer[lane] = if whole { 1.0 } else { new_layer };
             // Sheets start layers but do not extend them: a crown of leaves is not one surface.
-            let extends = (weight > 0.0) & ((ink.whole < 1.0) | behind);
-            fars[lane] = if extends { larger(far, ink.far) } else { far };
-            let total = 1.0 - open * (1.0 - layer);
-            totals[lane] = total;
-            shown[lane] = larger(total - before, 0.0) * (front / larger(added, 1e-30));
+            let extends = inked & (extends_always | behind);
+            far[lane] = if extends { larger(old_far, ink.far) } else { old_far };
+            total[lane] = 1.0 - (1.0 - passed[lane]) * (1.0 - layer[lane]);
+            shown[lane] = larger(total[lane] - before[lane], 0.0) * (front / larger(added, 1e-30));
         }
-        let mut opaque = 0u64;
-        for (lane, total) in totals.iter().enumerate() {
-            opaque |= u64::from(*total >= OPAQUE) << lane;
-        }
-        self.open[row_index] &= !(opaque << (chunk * LANES));
+        texels.covered = total;
+        texels.passed = passed;
+        texels.layer = layer;
+        texels.layer_far = far;
+        texels.unmatched = unmatched;
         if self.shines {
-            for (plane, light) in self.radiance.iter_mut().zip(ink.radiance) {
-                let plane = lanes(plane, start);
+            for (plane, light) in texels.radiance.iter_mut().zip(ink.radiance) {
                 for lane in 0..LANES {
                     plane[lane] += light * shown[lane];
                 }
             }
         }
+        let mut opaque = 0u64;
+        for (lane, total) in total.iter().enumerate() {
+            opaque |= u64::from(*total >= OPAQUE) << lane;
+        }
+        self.open[row_index] &= !(opaque << (chunk * LANES));
     }
 
     /// Texels along a face.
@@ -383,22 +385,22 @@ impl CubeRaster {
     #[must_use]
     #[inline(always)]
     pub fn openness(&self, index: usize) -> f32 {
-        1.0 - self.covered[index]
+        1.0 - self.chunks[index / LANES].covered[index % LANES]
     }
 
-    /// Radiance of the surfaces in each texel, weighted by the share of the texel they show; three
-    /// channels, empty where nothing shines.
+    /// Texels `8 index ..` in memory.
     #[must_use]
     #[inline(always)]
-    pub fn radiance(&self) -> &[Vec<f32>; 3] {
-        &self.radiance
+    pub fn chunk(&self, index: usize) -> &TexelChunk {
+        &self.chunks[index]
     }
-}
 
-/// Eight texels of a plane.
-#[inline(always)]
-fn lanes(plane: &mut [f32], start: usize) -> &mut [f32; LANES] {
-    (&mut plane[start..start + LANES]).try_into().expect("rows are padded to lanes")
+    /// Whether any splat may carry light.
+    #[must_use]
+    #[inline(always)]
+    pub fn shines(&self) -> bool {
+        self.shines
+    }
 }
 
 #[cfg(test)]
@@ -472,7 +474,7 @@ mod tests {
         for (i, texel) in table.texels().iter().enumerate() {
             if texel.solid_angle_sr > 0.0 && texel.direction.y > 0.0 {
                 assert!(raster.openness(i) < 1e-4, "texel {i} is open");
-                irradiance += raster.radiance()[0][i] * texel.vector.y;
+                irradiance += raster.chunk(i / LANES).radiance[0][i % LANES] * texel.vector.y;
             }
         }
         // E = πL; the texels at the horizon are all whole here.
@@ -500,7 +502,9 @@ mod tests {
         raster.draw_box(low * 3.0, high * 3.0, &full(2.9));
         let up = table.texel_index(Vec3::new(0.05, 1.0, 0.05));
         assert!(raster.openness(up) < 1e-6);
-        assert!((raster.radiance()[0][up] - (0.5 + 0.5 * 3.0)).abs() < 1e-4);
+        assert!(
+            (raster.chunk(up / LANES).radiance[0][up % LANES] - (0.5 + 0.5 * 3.0)).abs() < 1e-4
+        );
     }
 
     #[test]

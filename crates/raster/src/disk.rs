@@ -1,6 +1,6 @@
 //! Near disks: intersected with the directions of each texel.
 
-use crate::cube::{CubeRaster, Ink, LANES, SOLID_WHOLE};
+use crate::cube::{CubeRaster, Ink, LANE_NUMBERS, LANES, SOLID_WHOLE};
 use crate::footprint::project_box;
 use pbgi_math::{Aabb, CubeFace, Vec3};
 
@@ -101,18 +101,24 @@ impl CubeRaster {
                     let v = -1.0 + ((row * SAMPLES + i) as f32 + 0.5) * step;
                     let (n_row, c_row, d_row) = (na + nv * v, ca + cv * v, 1.0 + v * v);
                     for j in 0..SAMPLES {
+                        let column = (chunk * LANES * SAMPLES + j) as u32 as f32;
+                        let first = -1.0 + (column + 0.5) * step;
                         for (lane, weight) in weights.iter_mut().enumerate() {
-                            let column = ((chunk * LANES + lane) * SAMPLES + j) as f32;
-                            let u = -1.0 + (column + 0.5) * step;
+                            let u = first + LANE_NUMBERS[lane] * (SAMPLES as f32 * step);
                             let (nd, cd, dd) = (n_row + nu * u, c_row + cu * u, d_row + u * u);
                             let q = height * height * dd - 2.0 * height * cd * nd + slack * nd * nd;
                             // In front of the receiver, and not too near: t > 0, t² D·D > near².
-                            let hit = (q <= 0.0)
-                                & (nd * height > 0.0)
-                                & (height * height * dd > near2 * nd * nd);
-                            *weight += if hit { 1.0 / (SAMPLES * SAMPLES) as f32 } else { 0.0 };
+                            // Products of zeros and ones, not booleans: they stay in vector lanes.
+                            let on_disk = if q <= 0.0 { 1.0 } else { 0.0 };
+                            let in_front = if nd * height > 0.0 { 1.0 } else { 0.0 };
+                            let far_enough =
+                                if height * height * dd > near2 * nd * nd { 1.0 } else { 0.0 };
+                            *weight += on_disk * in_front * far_enough;
                         }
                     }
+                }
+                for weight in &mut weights {
+                    *weight *= 1.0 / (SAMPLES * SAMPLES) as f32;
                 }
                 // Lanes beyond the row's end would wrap into the padding only.
                 self.add_chunk(row_index, chunk, &weights, ink);
@@ -136,7 +142,12 @@ mod tests {
         raster.clear(receiver_normal);
         raster.draw_disk(disk, &INK, 0.0);
         let texels = table.texels().iter().enumerate();
-        texels.map(|(i, t)| raster.radiance()[0][i] * receiver_normal.dot(t.vector).max(0.0)).sum()
+        texels
+            .map(|(i, t)| {
+                raster.chunk(i / LANES).radiance[0][i % LANES]
+                    * receiver_normal.dot(t.vector).max(0.0)
+            })
+            .sum()
     }
 
     #[test]
@@ -198,6 +209,9 @@ mod tests {
         let up = table.texel_index(Vec3::new(0.01, 1.0, 0.01));
         assert_eq!(raster.openness(up), 1.0);
         raster.draw_disk(&away, &INK, 0.0);
-        assert_eq!((raster.openness(up), raster.radiance()[0][up]), (0.0, 0.0));
+        assert_eq!(
+            (raster.openness(up), raster.chunk(up / LANES).radiance[0][up % LANES]),
+            (0.0, 0.0)
+        );
     }
 }

@@ -9,7 +9,7 @@ mod footprint;
 mod simd;
 mod window;
 
-pub use cube::{CubeRaster, CubeRasterTable, LANES, Splat};
+pub use cube::{CubeRaster, CubeRasterTable, LANES, Splat, TexelChunk};
 pub use disk::{Disk, DiskInk};
 pub use footprint::{FaceRectangle, project_box};
 pub use simd::{SimdLevel, run_wide};

@@ -38,7 +38,7 @@ impl Default for GatherSettings {
         Self {
             solid_angle_sr: 0.03,
             raster_edge: 8,
-            near_radii: 8.0,
+            near_radii: 5.0,
             bias: 0.4,
             up: Vec3::Y,
             simd: SimdLevel::detect(),

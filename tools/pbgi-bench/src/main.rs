@@ -42,7 +42,7 @@ fn main() {
     let env = |k: &str, d: f32| std::env::var(k).ok().and_then(|v| v.parse().ok()).unwrap_or(d);
     let dir = Path::new("../shared/reference");
     let n = env("N", 1e6) as u64;
-    let settings = GatherSettings { solid_angle_sr: env("SR", 0.03), raster_edge: env("R", 8.0) as usize, near_radii: env("NEAR", 8.0), bias: env("BIAS", 0.1), ..GatherSettings::default() };
+    let settings = GatherSettings { solid_angle_sr: env("SR", 0.03), raster_edge: env("R", 8.0) as usize, near_radii: env("NEAR", 5.0), bias: env("BIAS", 0.1), ..GatherSettings::default() };
     let every = env("EVERY", 4.0) as usize;
     let tmp = std::env::temp_dir().join("pbgi-bench-tmp.pbgi");
     for name in &args[1..] {
