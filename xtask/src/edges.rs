@@ -9,7 +9,7 @@ pub const EDGES: [(&str, &[&str]); 15] = [
     ("image", &["math"]),
     ("format", &["math"]),
     ("raster", &["math"]),
-    ("scene", &["cloud", "image", "math"]),
+    ("scene", &["cloud", "math"]),
     ("light", &["image", "math"]),
     ("sort", &["cloud", "math"]),
     ("build", &["cloud", "format", "math"]),
@@ -20,8 +20,8 @@ pub const EDGES: [(&str, &[&str]); 15] = [
     (
         "pbgi",
         &[
-            "brdf", "build", "cloud", "cut", "format", "image", "light", "math", "raster", "scene",
-            "schedule", "sort", "store",
+            "build", "cloud", "cut", "format", "image", "light", "math", "scene", "schedule", "sort",
+            "store",
         ],
     ),
     ("testkit", &["cloud", "math"]),

@@ -144,7 +144,7 @@ fn reduce_lobes(lobes: &mut Vec<LobeSum>) {
 /// What a node knows of its surfels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NodeAggregate {
-    /// Tight box of the area-true squares, see [`area_true_half_edge`].
+    /// Tight box of the area-true squares: of edge `√area`, so that pieces of a wall tile.
     pub bounds: Aabb,
     /// How far covering disks reach out of `bounds` at most.
     pub cover_margin: f32,
