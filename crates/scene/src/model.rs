@@ -60,6 +60,8 @@ pub struct Material {
     pub alpha_cutoff: Option<f32>,
     /// Lit and visible from both sides.
     pub double_sided: bool,
+    /// Factor on the spacing when diced, above 0: larger than 1 for backdrops, which nothing comes near.
+    pub spacing_factor: f32,
 }
 
 impl Default for Material {
@@ -74,6 +76,7 @@ impl Default for Material {
             roughness: 1.0,
             alpha_cutoff: None,
             double_sided: false,
+            spacing_factor: 1.0,
         }
     }
 }

@@ -118,8 +118,8 @@ struct Cursor<'a> {
 #[derive(Clone, Copy, Default)]
 struct Totals {
     area: f64,
-    /// Two-sided surfaces count twice.
-    sided_area: f64,
+    /// In squares of the spacing times its square: two-sided surfaces count twice, coarse ones less.
+    weighted_area: f64,
     degenerate_count: u64,
 }
 
@@ -142,7 +142,7 @@ impl<'a> DicedScene<'a> {
             }
             Spacing::Length(found) => return Err(DiceError::Spacing { found }),
             Spacing::Count(target) => {
-                spacing::find_spacing(target, totals.sided_area, |h| meshes.count_surfels(h))
+                spacing::find_spacing(target, totals.weighted_area, |h| meshes.count_surfels(h))
             }
         };
         Ok(Self {
@@ -276,12 +276,12 @@ impl<'a> Meshes<'a> {
                     None => totals.degenerate_count += 1,
                 }
             }
-            Totals { sided_area: totals.area * view.side_count() as f64, ..totals }
+            Totals { weighted_area: totals.area * view.surfel_density(), ..totals }
         });
         // In order: the sum is the same for any number of threads.
         runs.iter().fold(Totals::default(), |sum, run| Totals {
             area: sum.area + run.area,
-            sided_area: sum.sided_area + run.sided_area,
+            weighted_area: sum.weighted_area + run.weighted_area,
             degenerate_count: sum.degenerate_count + run.degenerate_count,
         })
     }
@@ -310,6 +310,9 @@ fn validate(scene: &Scene) -> Result<(), DiceError> {
         largest.map_or(Ok(()), |&v| check(&place, "vertex", v, mesh.positions.len()))?;
     }
     for (i, material) in scene.materials.iter().enumerate() {
+        if !(material.spacing_factor > 0.0 && material.spacing_factor.is_finite()) {
+            return Err(DiceError::Spacing { found: material.spacing_factor });
+        }
         for texture in [material.base_color_texture, material.emission_texture] {
             let place = || format!("material {i} ({})", material.name);
             texture.map_or(Ok(()), |t| check(&place, "texture", t, scene.textures.len()))?;
@@ -410,6 +413,22 @@ mod tests {
         assert!(
             (area_of(&dice(&square, Spacing::Length(0.03), TwoSided::None)) - 1.0).abs() < 1e-6
         );
+    }
+
+    #[test]
+    fn spacing_factors_thin_out_surfels() {
+        let options = |factor: f32| {
+            let material = Material { spacing_factor: factor, ..Material::default() };
+            dice(&scene_of(square(), material), Spacing::Length(0.02), TwoSided::None)
+        };
+        let (fine, coarse) = (options(1.0), options(4.0));
+        // Each triangle has n(n + 1)/2 cells: of 0.02, and of at most 0.08.
+        assert_eq!((fine.len(), coarse.len()), (50 * 51, 13 * 14));
+        assert!((area_of(&coarse) - 1.0).abs() < 1e-6);
+        let bad = Material { spacing_factor: 0.0, ..Material::default() };
+        let bad = scene_of(square(), bad);
+        let dicing = DiceOptions { spacing: Spacing::Count(100), two_sided: TwoSided::None };
+        assert!(DicedScene::new(&bad, dicing).is_err());
     }
 
     #[test]

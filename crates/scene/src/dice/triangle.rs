@@ -15,6 +15,7 @@ pub(super) struct InstanceView<'a> {
     flips: bool,
     surface: Surface<'a>,
     two_sided: bool,
+    spacing_factor: f64,
 }
 
 /// A triangle's world positions and what the sides share.
@@ -53,7 +54,13 @@ impl<'a> InstanceView<'a> {
                 TwoSided::All => true,
                 TwoSided::None => false,
             },
+            spacing_factor: f64::from(material.spacing_factor),
         }
+    }
+
+    /// Surfels on an area of the square of the spacing, about.
+    pub fn surfel_density(&self) -> f64 {
+        self.side_count() as f64 / (self.spacing_factor * self.spacing_factor)
     }
 
     /// Surfels per micropolygon.
@@ -88,14 +95,14 @@ impl<'a> InstanceView<'a> {
         let cells = if self.is_masked() {
             self.dice(&triangle, index, spacing).count_opaque_cells()
         } else {
-            Lattices::new(triangle.positions, spacing).cell_count()
+            Lattices::new(triangle.positions, spacing * self.spacing_factor).cell_count()
         };
         Some(cells.saturating_mul(self.side_count()))
     }
 
     /// Cuts `triangle`, the one with `index`.
     pub fn dice(&self, triangle: &Triangle, index: usize, spacing: f64) -> DicedTriangle<'a> {
-        let lattices = Lattices::new(triangle.positions, spacing);
+        let lattices = Lattices::new(triangle.positions, spacing * self.spacing_factor);
         let surface = self.surface.triangle(index, triangle.area);
         let flags = if self.two_sided { SurfelFlags::FRONT_ONLY } else { SurfelFlags::default() };
         let normal = triangle.normal.as_vec3();

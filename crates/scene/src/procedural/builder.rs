@@ -25,6 +25,12 @@ impl SceneBuilder {
         self.add(Material { name: name.to_owned(), base_color, ..Material::default() })
     }
 
+    /// A matte, single-sided material of a backdrop, diced `factor` times as coarsely as others.
+    pub fn coarse_paint(&mut self, name: &str, base_color: [f32; 3], factor: f32) -> Paint {
+        let name = name.to_owned();
+        self.add(Material { name, base_color, spacing_factor: factor, ..Material::default() })
+    }
+
     /// A matte material seen and lit from both sides.
     pub fn cloth(&mut self, name: &str, base_color: [f32; 3]) -> Paint {
         let name = name.to_owned();

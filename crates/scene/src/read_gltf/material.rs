@@ -126,6 +126,7 @@ fn read_material(
         alpha_cutoff,
         double_sided: material.double_sided(),
         name,
+        ..Material::default()
     };
     let sources = [base.map(|info| UvSource::new(&info)), glow.map(|info| UvSource::new(&info))];
     if let [Some(first), Some(second)] = sources

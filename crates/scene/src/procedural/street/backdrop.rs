@@ -1,7 +1,7 @@
 //! What stands behind the street: the church, houses of the town, woods on the hills.
 
-use super::StreetPaints;
 use super::path::{LOT_END, StreetPath};
+use super::{StreetPaints, TownPaints};
 use crate::procedural::builder::{PLAIN, Paint, Pen, SceneBuilder};
 use crate::procedural::random::Random;
 use pbgi_math::{Affine3A, Mat3, Vec3};
@@ -150,13 +150,19 @@ fn town(
         let turn = Mat3::from_rotation_y(random.range(0.0, 3.1));
         let frame = Affine3A::from_mat3_translation(turn, foot);
         let size = [random.range(7.0, 11.0), random.range(5.0, 7.5), random.range(7.0, 9.0)];
-        plain_house(&mut builder.pen(frame), paints, random.pick(&walls), random.shade(0.2), size);
+        plain_house(
+            &mut builder.pen(frame),
+            paints.town,
+            random.pick(&walls),
+            random.shade(0.2),
+            size,
+        );
     }
 }
 
 fn plain_house(
     pen: &mut Pen,
-    paints: &StreetPaints,
+    paints: TownPaints,
     wall: [f32; 3],
     roof: [f32; 3],
     [w, h, d]: [f32; 3],

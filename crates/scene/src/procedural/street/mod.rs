@@ -38,8 +38,40 @@ pub(super) struct StreetPaints {
     rubber: Paint,
     cloth: Paint,
     gilt: Paint,
+    town: TownPaints,
     plants: PlantPaints,
 }
+
+/// Paints of the plain houses behind the street.
+#[derive(Clone, Copy)]
+pub(super) struct TownPaints {
+    plaster: Paint,
+    tile: Paint,
+    glass: Paint,
+    brick: Paint,
+}
+
+/// How much coarser than the street its surroundings are diced: the town, and the land, whose triangles
+/// grow with the distance and are small enough as they are.
+const TOWN_COARSENESS: f32 = 6.0;
+const LAND_COARSENESS: f32 = 200.0;
+
+impl TownPaints {
+    fn new(builder: &mut SceneBuilder) -> Self {
+        let mut paint = |name, color| builder.coarse_paint(name, color, TOWN_COARSENESS);
+        Self {
+            plaster: paint("town plaster", PLASTER),
+            tile: paint("town tile", TILE),
+            glass: paint("town glass", GLASS),
+            brick: paint("town brick", BRICK),
+        }
+    }
+}
+
+const PLASTER: [f32; 3] = [0.80, 0.80, 0.80];
+const TILE: [f32; 3] = [0.44, 0.17, 0.10];
+const GLASS: [f32; 3] = [0.06, 0.075, 0.09];
+const BRICK: [f32; 3] = [0.42, 0.18, 0.12];
 
 impl StreetPaints {
     fn new(builder: &mut SceneBuilder) -> Self {
@@ -48,22 +80,23 @@ impl StreetPaints {
             curb: builder.paint("curb", [0.46, 0.44, 0.41]),
             slab: builder.paint("slab", [0.50, 0.46, 0.41]),
             lot: builder.paint("lot", [0.30, 0.29, 0.16]),
-            land: builder.paint("land", [0.21, 0.25, 0.09]),
-            plaster: builder.paint("plaster", [0.80, 0.80, 0.80]),
+            land: builder.coarse_paint("land", [0.21, 0.25, 0.09], LAND_COARSENESS),
+            plaster: builder.paint("plaster", PLASTER),
             trim: builder.paint("trim", [0.76, 0.72, 0.64]),
             stone: builder.paint("stone", [0.50, 0.47, 0.43]),
-            glass: builder.paint("glass", [0.06, 0.075, 0.09]),
+            glass: builder.paint("glass", GLASS),
             curtain: builder.paint("curtain", [0.58, 0.52, 0.44]),
             wood: builder.paint("wood", [0.80, 0.80, 0.80]),
-            tile: builder.paint("tile", [0.44, 0.17, 0.10]),
+            tile: builder.paint("tile", TILE),
             slate: builder.paint("slate", [0.17, 0.18, 0.21]),
-            brick: builder.paint("brick", [0.42, 0.18, 0.12]),
+            brick: builder.paint("brick", BRICK),
             copper: builder.paint("copper", [0.26, 0.46, 0.38]),
             metal: builder.paint("metal", [0.10, 0.11, 0.11]),
             lacquer: builder.paint("lacquer", [0.80, 0.80, 0.80]),
             rubber: builder.paint("rubber", [0.05, 0.05, 0.05]),
             cloth: builder.cloth("cloth", [0.80, 0.80, 0.80]),
             gilt: builder.paint("gilt", [0.70, 0.50, 0.16]),
+            town: TownPaints::new(builder),
             plants: PlantPaints::new(builder),
         }
     }
