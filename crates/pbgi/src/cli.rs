@@ -160,6 +160,22 @@ pub fn parse_triple(text: &str) -> Result<[f32; 3], String> {
         .map_err(|_| format!("`{text}` are not three numbers; expected such as 0,1.5,-2"))
 }
 
+/// Columns and rows of an image, such as `960x540`.
+///
+/// # Errors
+///
+/// Says what is expected.
+///
+/// ```
+/// assert_eq!(pbgi::cli::parse_resolution("960x540"), Ok([960, 540]));
+/// ```
+pub fn parse_resolution(text: &str) -> Result<[u32; 2], String> {
+    let edge = |text: &str| text.trim().parse().ok().filter(|x| (1..=65536).contains(x));
+    text.split_once(['x', 'X'])
+        .and_then(|(width, height)| Some([edge(width)?, edge(height)?]))
+        .ok_or_else(|| format!("`{text}` is no size; expected one such as 960x540"))
+}
+
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
 /// Runs a tool: `body` gets a flag that Ctrl-C (or a termination signal) sets. An error goes to

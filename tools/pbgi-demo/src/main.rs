@@ -1,2 +1,169 @@
-//! Under construction.
-fn main() {}
+//! One command from nothing to a picture: a procedural street, a sky with a sun, bake, shade, check.
+#![forbid(unsafe_code)]
+
+mod table;
+
+use clap::Parser;
+use pbgi::cli::{self, CommonArgs};
+use pbgi::{
+    BakeReport, BakeRequest, CameraChoice, EnvironmentSpec, FRAME_AOVS, FrameRequest, LightRequest,
+    PbgiError, Progress, Sampling, ShadeReport, ShadeSettings, SkyParameters, bake,
+    procedural_scene, shade_frame, synthetic_sky, write_environment_exr,
+};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::atomic::AtomicBool;
+use std::time::Instant;
+
+/// Make a street and a sky, bake, shade and check them, and print one table
+///
+/// Writes sky.exr, street.pbgi, street.exr, street.png and stats.json into the output folder; files of
+/// these names are replaced.
+#[derive(Debug, Parser)]
+#[command(name = "pbgi-demo", version)]
+struct DemoArgs {
+    /// Folder for the results
+    #[arg(short, long, value_name = "FOLDER", default_value = "out")]
+    out: PathBuf,
+    /// Surfels the street is diced into
+    #[arg(long, value_name = "COUNT", default_value = "2M", value_parser = cli::parse_count)]
+    surfels: u64,
+    /// Size of the picture in pixels
+    #[arg(long, value_name = "WxH", default_value = "960x540", value_parser = cli::parse_resolution)]
+    resolution: [u32; 2],
+    /// Seed of the street
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    /// A small picture of fewer surfels, for a first look
+    #[arg(long)]
+    quick: bool,
+    /// Options of every tool
+    #[command(flatten)]
+    common: CommonArgs,
+}
+
+/// Columns of the sky's image; it is half as high.
+const SKY_COLUMNS: usize = 2048;
+
+/// Receivers of which the error is measured.
+const CHECK_RECEIVERS: usize = 200;
+
+fn main() -> ExitCode {
+    let args = DemoArgs::parse();
+    cli::run("pbgi-demo", |cancel| Demo::new(&args)?.run(cancel))
+}
+
+struct Demo {
+    out: PathBuf,
+    scene_name: String,
+    surfels: u64,
+    resolution: [u32; 2],
+    shading_rate: f32,
+    common: CommonArgs,
+    progress: Progress,
+}
+
+impl Demo {
+    fn new(args: &DemoArgs) -> Result<Self, PbgiError> {
+        args.common.check()?;
+        std::fs::create_dir_all(&args.out)
+            .map_err(|source| PbgiError::output(&args.out, "create", source))?;
+        let [width, height] = args.resolution;
+        Ok(Self {
+            out: args.out.clone(),
+            scene_name: format!("demo:street?seed={}", args.seed),
+            surfels: if args.quick { args.surfels.min(500_000) } else { args.surfels },
+            resolution: if args.quick {
+                [width.div_ceil(2), height.div_ceil(2)]
+            } else {
+                args.resolution
+            },
+            shading_rate: if args.quick { 2.0 } else { 1.5 },
+            common: args.common,
+            progress: args.common.start_progress(6),
+        })
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.out.join(name)
+    }
+
+    fn run(&self, cancel: &AtomicBool) -> Result<(), PbgiError> {
+        let start = Instant::now();
+        let street = procedural_scene(&self.scene_name)?;
+        let sky_path = self.path("sky.exr");
+        let sky = SkyParameters { sun_direction: street.sun_direction, ..SkyParameters::default() };
+        write_environment_exr(&sky_path, &synthetic_sky(SKY_COLUMNS, SKY_COLUMNS / 2, &sky), &[])?;
+        let octree = self.path("street.pbgi");
+        let baked = self.bake(&sky_path, &octree, cancel)?;
+        let request = FrameRequest {
+            octree: &octree,
+            scene: Some(&street.scene),
+            camera: CameraChoice::Default,
+            width: self.resolution[0],
+            height: self.resolution[1],
+            samples: 8,
+            shading_rate: self.shading_rate,
+            aovs: FRAME_AOVS.to_vec(),
+            names: Default::default(),
+            settings: ShadeSettings {
+                environment: Some(EnvironmentSpec::from_file(&sky_path)),
+                check_receivers: CHECK_RECEIVERS,
+                threads: self.common.thread_count(),
+                memory_bytes: self.common.memory_limit,
+                ..ShadeSettings::default()
+            },
+        };
+        let frame = shade_frame(&request, &self.progress, cancel)?;
+        frame.write_exr(&self.path("street.exr"))?;
+        frame.write_preview(&self.path("street.png"), None)?;
+        self.report(&baked, &frame.report, start.elapsed().as_secs_f64())
+    }
+
+    fn bake(
+        &self,
+        sky: &Path,
+        octree: &Path,
+        cancel: &AtomicBool,
+    ) -> Result<BakeReport, PbgiError> {
+        let request = BakeRequest {
+            inputs: vec![self.scene_name.clone()],
+            output: octree.to_owned(),
+            force: true,
+            sampling: Sampling::Surfels(self.surfels),
+            light: LightRequest {
+                environment: Some(EnvironmentSpec::from_file(sky)),
+                ..LightRequest::default()
+            },
+            memory_limit: self.common.memory_limit,
+            threads: self.common.thread_count(),
+            ..BakeRequest::default()
+        };
+        bake(&request, &self.progress, cancel)
+    }
+
+    fn report(
+        &self,
+        baked: &BakeReport,
+        shaded: &ShadeReport,
+        seconds: f64,
+    ) -> Result<(), PbgiError> {
+        let stats = serde_json::json!({ "bake": baked, "shade": shaded, "seconds": seconds });
+        cli::write_json(&self.path("stats.json"), &stats)?;
+        let mut rows = table::rows(baked, shaded);
+        rows.push(("total", cli::format_seconds(seconds)));
+        rows.push(("picture", self.path("street.png").display().to_string()));
+        cli::print(&cli::format_table(&rows))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn options_are_consistent() {
+        DemoArgs::command().debug_assert();
+    }
+}

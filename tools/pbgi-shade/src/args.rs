@@ -1,7 +1,7 @@
 //! Command line of pbgi-shade.
 
 use clap::{Args, Parser, ValueEnum};
-use pbgi::cli::{CommonArgs, parse_triple};
+use pbgi::cli::{CommonArgs, parse_resolution, parse_triple};
 use pbgi::{Aov, AovNames, AovPreset, FRAME_AOVS};
 use pbgi::{CameraChoice, EnvironmentSpec, LightSource, PbgiError, ShadeSettings};
 use std::path::PathBuf;
@@ -258,13 +258,6 @@ fn parse_exposure(text: &str) -> Result<Exposure, String> {
     let stops = text.parse().ok().filter(|x: &f32| x.abs() <= 100.0);
     let expected = || format!("`{text}` is no exposure; expected `auto` or stops such as 1.5");
     stops.map(Exposure::Stops).ok_or_else(expected)
-}
-
-fn parse_resolution(text: &str) -> Result<[u32; 2], String> {
-    let edge = |text: &str| text.trim().parse().ok().filter(|x| (1..=65536).contains(x));
-    text.split_once(['x', 'X'])
-        .and_then(|(width, height)| Some([edge(width)?, edge(height)?]))
-        .ok_or_else(|| format!("`{text}` is no size; expected one such as 960x540"))
 }
 
 /// Three coordinates in double precision: survey coordinates have millions of meters.
