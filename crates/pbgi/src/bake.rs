@@ -8,7 +8,7 @@ use crate::input::Inputs;
 use crate::memory::peak_resident_bytes;
 use crate::output_path::temporary_octree;
 use crate::progress::{Phase, Progress, format_bytes};
-use crate::relight::{EmissionStream, Light, RelitStream, check_canceled};
+use crate::relight::{EmissionStream, Light, PassSettings, RelitStream, check_canceled};
 use pbgi_build::{BuildOptions, BuildReport, ChannelChoice, StreamSummary, build_octree};
 use pbgi_cloud::SurfelSource;
 use pbgi_light::UpAxis;
@@ -253,18 +253,16 @@ impl<'a> Baker<'a> {
         let name = if from.pass == 1 && self.light.has_environment() { "light" } else { "bounce" };
         let phase = self.progress.start_phase(name, "surfels", Some(summary.count));
         let radiance_bound = self.light.radiance_bound(summary.radiance_max, from.source_max);
-        let mut stream = RelitStream {
-            sorted,
+        let pass = PassSettings {
             octree: from.octree,
             light: &self.light,
             threads: from.threads,
             chunk_surfels: self.memory.chunk_surfels,
             radiance_bound,
-            radiance_max: 0.0,
-            done: 0,
             phase: &phase,
             cancel: self.cancel,
         };
+        let mut stream = RelitStream::new(sorted, pass);
         let summary = self.stream_summary(&summary, radiance_bound);
         let build = build_octree(&mut stream, &summary, options, target)?;
         let reached = stream.radiance_max;

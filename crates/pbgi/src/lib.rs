@@ -25,6 +25,7 @@ mod points;
 mod progress;
 mod relight;
 mod shade;
+mod share;
 mod splat;
 
 pub use bake::bake;

@@ -1,12 +1,14 @@
 //! Light on the surfels themselves: an environment, and bounces between surfaces.
 //!
 //! A pass streams the sorted surfels, gathers light at each of them from the octree of the pass
-//! before, and hands them on with radiance *L* = emission + albedo/π · *E*. Surfels are shaded one by
-//! one in the order of the file, so chunks, threads and cache never change the result.
+//! before, and hands them on with radiance *L* = emission + albedo/π · *E*. Surfels are shaded in the
+//! order of the file, each by itself or for a few neighbors; chunks, threads and cache never change the
+//! result.
 
 use crate::PbgiError;
 use crate::progress::Phase;
 use crate::shade::EnvironmentSpec;
+use crate::share::{Shared, cell_len};
 use pbgi_build::{SortedStream, StreamError};
 use pbgi_cloud::Surfel;
 use pbgi_math::{MortonCode, Vec3};
@@ -29,6 +31,8 @@ pub struct LightRequest {
     pub solid_angle_sr: f32,
     /// Texels along a face of the cube raster, 1 to 64.
     pub raster_edge: usize,
+    /// Most neighbors on one surface that share a gather, 1 to 256; 1 gathers for every surfel.
+    pub share: usize,
 }
 
 /// Most bounces: light that passed between surfaces that often is not seen.
@@ -36,7 +40,7 @@ pub const BOUNCES_MAX: u32 = 64;
 
 impl Default for LightRequest {
     fn default() -> Self {
-        Self { environment: None, bounces: 0, solid_angle_sr: 0.2, raster_edge: 6 }
+        Self { environment: None, bounces: 0, solid_angle_sr: 0.2, raster_edge: 6, share: 1 }
     }
 }
 
@@ -71,6 +75,12 @@ impl LightRequest {
                 self.raster_edge
             )));
         }
+        if !(1..=256).contains(&self.share) {
+            return Err(PbgiError::usage(format!(
+                "--bounce-share {} is out of range; expected 1 to 256 surfels",
+                self.share
+            )));
+        }
         Ok(())
     }
 }
@@ -89,6 +99,8 @@ pub(crate) struct Light {
     /// No surfel receives more from the environment, W·m⁻².
     irradiance_max: f32,
     bounces: u32,
+    /// Most surfels that share a gather.
+    pub share: usize,
 }
 
 impl Light {
@@ -101,9 +113,9 @@ impl Light {
             up,
             ..GatherSettings::default()
         };
-        let bounces = request.bounces;
+        let (bounces, share) = (request.bounces, request.share);
         let Some(spec) = &request.environment else {
-            return Ok(Self { settings, environment: None, irradiance_max: 0.0, bounces });
+            return Ok(Self { settings, environment: None, irradiance_max: 0.0, bounces, share });
         };
         let environment = spec.load(z_up)?;
         let irradiance_max = spread_directions(BOUND_DIRECTIONS)
@@ -114,6 +126,7 @@ impl Light {
             environment: Some(PreparedLight::new(&environment, request.raster_edge)),
             irradiance_max: irradiance_max * BOUND_MARGIN,
             bounces,
+            share,
         })
     }
 
@@ -158,7 +171,20 @@ impl SortedStream for EmissionStream<'_> {
 
 /// The sorted surfels with the light they receive.
 pub(crate) struct RelitStream<'a> {
-    pub sorted: &'a mut SortedSurfels,
+    sorted: &'a mut SortedSurfels,
+    pass: PassSettings<'a>,
+    /// Sorted surfels read, yet to be shaded.
+    ahead: Vec<(MortonCode, Surfel)>,
+    is_read: bool,
+    /// Code of the last surfel handed on.
+    previous: Option<MortonCode>,
+    done: u64,
+    /// Largest radiance handed on so far.
+    pub radiance_max: f32,
+}
+
+/// What a pass of light needs.
+pub(crate) struct PassSettings<'a> {
     /// Surfels of the pass before, which block and shine.
     pub octree: &'a Octree,
     pub light: &'a Light,
@@ -167,46 +193,74 @@ pub(crate) struct RelitStream<'a> {
     pub chunk_surfels: usize,
     /// No radiance handed on exceeds this.
     pub radiance_bound: f32,
-    /// Largest radiance handed on so far.
-    pub radiance_max: f32,
-    pub done: u64,
     pub phase: &'a Phase<'a>,
     pub cancel: &'a AtomicBool,
 }
 
-impl SortedStream for RelitStream<'_> {
-    fn read_chunk(&mut self, out: &mut Vec<(MortonCode, Surfel)>) -> Result<bool, StreamError> {
-        let start = out.len();
-        let mut more = true;
-        while more && out.len() - start < self.chunk_surfels {
-            more = self.sorted.read_chunk(out).map_err(PbgiError::from)?;
+impl<'a> RelitStream<'a> {
+    pub fn new(sorted: &'a mut SortedSurfels, pass: PassSettings<'a>) -> Self {
+        Self {
+            sorted,
+            pass,
+            ahead: Vec::new(),
+            is_read: false,
+            previous: None,
+            done: 0,
+            radiance_max: 0.0,
         }
-        let shadings = self.shade(&out[start..])?;
-        for ((_, surfel), shading) in out[start..].iter_mut().zip(&shadings) {
-            surfel.radiance = lit_radiance(surfel, shading, self.radiance_bound);
-            self.radiance_max = surfel.radiance.iter().fold(self.radiance_max, |m, &c| m.max(c));
+    }
+
+    /// Divides the surfels read into cells that share, as far as none can reach beyond them.
+    fn share(&mut self) -> Shared {
+        let most = self.pass.light.share;
+        let mut shared = Shared::default();
+        loop {
+            let rest = &self.ahead[shared.place.len()..];
+            if rest.is_empty() || (rest.len() <= most && !self.is_read) {
+                return shared;
+            }
+            let len = cell_len(rest, self.previous, most);
+            self.previous = Some(rest[len - 1].0);
+            shared.add_cell(&rest[..len]);
         }
-        self.done += shadings.len() as u64;
-        Ok(more)
+    }
+
+    fn shade(&self, chosen: &[u32]) -> Result<Vec<Shading>, PbgiError> {
+        let PassSettings { light, octree, .. } = self.pass;
+        let up = light.settings.up;
+        let receiver = |&index: &u32| {
+            let surfel = &self.ahead[index as usize].1;
+            let normal = if surfel.is_isotropic() { up } else { surfel.normal() };
+            Receiver { position: surfel.center(), normal }
+        };
+        let receivers: Vec<Receiver> = chosen.iter().map(receiver).collect();
+        let options = ShadeOptions {
+            gather: light.settings,
+            threads: self.pass.threads,
+            cancel: self.pass.cancel,
+            progress: &|done| self.pass.phase.set_done(self.done + done),
+        };
+        Ok(shade_receivers(octree, light.environment.as_ref(), &receivers, &options)?.0)
     }
 }
 
-impl RelitStream<'_> {
-    fn shade(&self, surfels: &[(MortonCode, Surfel)]) -> Result<Vec<Shading>, PbgiError> {
-        let up = self.light.settings.up;
-        let receiver = |surfel: &Surfel| Receiver {
-            position: surfel.center(),
-            normal: if surfel.is_isotropic() { up } else { surfel.normal() },
-        };
-        let receivers: Vec<Receiver> = surfels.iter().map(|(_, s)| receiver(s)).collect();
-        let options = ShadeOptions {
-            gather: self.light.settings,
-            threads: self.threads,
-            cancel: self.cancel,
-            progress: &|done| self.phase.set_done(self.done + done),
-        };
-        let environment = self.light.environment.as_ref();
-        Ok(shade_receivers(self.octree, environment, &receivers, &options)?.0)
+impl SortedStream for RelitStream<'_> {
+    fn read_chunk(&mut self, out: &mut Vec<(MortonCode, Surfel)>) -> Result<bool, StreamError> {
+        while !self.is_read && self.ahead.len() < self.pass.chunk_surfels {
+            self.is_read = !self.sorted.read_chunk(&mut self.ahead).map_err(PbgiError::from)?;
+        }
+        let shared = self.share();
+        let shadings = self.shade(&shared.chosen)?;
+        for ((code, mut surfel), place) in self.ahead.drain(..shared.place.len()).zip(&shared.place)
+        {
+            let shading = &shadings[*place as usize];
+            surfel.radiance = lit_radiance(&surfel, shading, self.pass.radiance_bound);
+            self.radiance_max = surfel.radiance.iter().fold(self.radiance_max, |m, &c| m.max(c));
+            out.push((code, surfel));
+        }
+        self.done += shared.place.len() as u64;
+        self.pass.phase.set_done(self.done);
+        Ok(!(self.is_read && self.ahead.is_empty()))
     }
 }
 
@@ -277,6 +331,7 @@ mod tests {
             LightRequest { bounces: 65, ..good.clone() },
             LightRequest { solid_angle_sr: f32::NAN, ..good.clone() },
             LightRequest { raster_edge: 0, ..good.clone() },
+            LightRequest { share: 0, ..good.clone() },
         ] {
             assert_eq!(bad.check().unwrap_err().exit_code(), cli::EXIT_MISUSED);
         }

@@ -85,6 +85,22 @@ fn bounces_add_light_to_a_room_with_a_lamp() {
 }
 
 #[test]
+fn shared_gathers_depend_on_no_chunk_and_keep_the_light() {
+    let bench = Bench::new();
+    let bake = |share, memory| {
+        let args = ["demo:room?surfels=40k", "--bounces", "1", "--force", "--memory-limit", memory];
+        let flux = bench.bake(&[&args[..], &["--bounce-share", share]].concat(), "room.pbgi");
+        (bench.read("room.pbgi"), flux.flux_total[1])
+    };
+    // Limits below 256 MiB shade smaller chunks.
+    let (small, flux) = bake("16", "100MiB");
+    let (large, _) = bake("16", "1GiB");
+    assert!(small == large);
+    let (_, exact) = bake("1", "1GiB");
+    assert!((flux / exact - 1.0).abs() < 0.01, "{flux} {exact}");
+}
+
+#[test]
 fn light_that_cannot_be_is_a_warning() {
     let bench = Bench::new();
     let points: Vec<f32> = sphere(500).into_iter().flat_map(|[x, y, z]| [x, y, z, 0.1]).collect();
