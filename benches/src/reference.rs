@@ -14,7 +14,7 @@ use pbgi_schedule::{
     GatherSettings, PreparedLight, Receiver, ShadeOptions, ShadeReport, Shading, shade_receivers,
 };
 use pbgi_sort::{SortOptions, SortedSurfels, sort_surfels};
-use pbgi_store::{OpenOptions, Octree};
+use pbgi_store::{Octree, OpenOptions};
 use std::f32::consts::PI;
 use std::path::{Path, PathBuf};
 
@@ -170,7 +170,9 @@ fn main() -> Result<()> {
         ..GatherSettings::default()
     };
     let temporary = tempfile::tempdir()?;
-    println!("scene    quantity       rRMSE      bias   median      p99  µs/receiver  cut (1 thread)");
+    println!(
+        "scene    quantity       rRMSE      bias   median      p99  µs/receiver  cut (1 thread)"
+    );
     for name in &arguments.scenes {
         let scene = read_scene(&arguments.data.join(format!("{name}.glb")))?;
         let spacing = Spacing::Count(arguments.surfels);
@@ -180,8 +182,7 @@ fn main() -> Result<()> {
         while source.read_chunk(&mut surfels)? {}
         let table = ReceiverTable::read(&arguments.data.join(format!("{name}_receivers.ply")))?;
         let places = table.positions.iter().zip(&table.normals).step_by(arguments.every);
-        let receivers =
-            places.map(|(p, n)| Receiver { position: *p, normal: *n }).collect();
+        let receivers = places.map(|(p, n)| Receiver { position: *p, normal: *n }).collect();
         let every = arguments.every;
         let bench = Bench { folder: &arguments.data, name, table, receivers, settings, every };
         let path = temporary.path().join("scene.pbgi");

@@ -225,7 +225,7 @@ impl<'a> RelitStream<'a> {
         }
     }
 
-    fn shade(&self, chosen: &[u32]) -> Result<Vec<Shading>, PbgiError> {
+    fn shade(&self, Shared { chosen, place }: &Shared) -> Result<Vec<Shading>, PbgiError> {
         let PassSettings { light, octree, .. } = self.pass;
         let up = light.settings.up;
         let receiver = |&index: &u32| {
@@ -234,11 +234,13 @@ impl<'a> RelitStream<'a> {
             Receiver { position: surfel.center(), normal }
         };
         let receivers: Vec<Receiver> = chosen.iter().map(receiver).collect();
+        // Surfels done with each receiver, on average.
+        let surfels = |done: u64| done * place.len() as u64 / chosen.len().max(1) as u64;
         let options = ShadeOptions {
             gather: light.settings,
             threads: self.pass.threads,
             cancel: self.pass.cancel,
-            progress: &|done| self.pass.phase.set_done(self.done + done),
+            progress: &|done| self.pass.phase.set_done(self.done + surfels(done)),
         };
         Ok(shade_receivers(octree, light.environment.as_ref(), &receivers, &options)?.0)
     }
@@ -250,7 +252,7 @@ impl SortedStream for RelitStream<'_> {
             self.is_read = !self.sorted.read_chunk(&mut self.ahead).map_err(PbgiError::from)?;
         }
         let shared = self.share();
-        let shadings = self.shade(&shared.chosen)?;
+        let shadings = self.shade(&shared)?;
         for ((code, mut surfel), place) in self.ahead.drain(..shared.place.len()).zip(&shared.place)
         {
             let shading = &shadings[*place as usize];

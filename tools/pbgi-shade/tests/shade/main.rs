@@ -1,0 +1,7 @@
+//! The shading tool from its command line to its files and exit codes.
+#![allow(missing_docs, reason = "tests are named by what they claim")]
+
+mod errors;
+mod frames;
+mod points;
+mod support;
