@@ -63,7 +63,7 @@ impl PageEntry {
             checksum: read_u64(bytes, 16),
             kind: PageKind::from_code(read_u32(bytes, 24))?,
         };
-        if entry.offset % PAGE_ALIGNMENT != 0 || entry.offset == 0 {
+        if !entry.offset.is_multiple_of(PAGE_ALIGNMENT) || entry.offset == 0 {
             return Err(FormatError::new(
                 "page table: offset",
                 entry.offset,

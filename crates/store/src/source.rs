@@ -78,10 +78,7 @@ mod map {
             out.copy_from_slice(&self.map[start..end]);
             // SAFETY: the map is read-only and shared with the file, so dropped pages come back
             // with the same contents; nothing refers to them here.
-            let dropped = unsafe {
-                self.map.unchecked_advise_range(UncheckedAdvice::DontNeed, start, out.len())
-            };
-            dropped
+            unsafe { self.map.unchecked_advise_range(UncheckedAdvice::DontNeed, start, out.len()) }
         }
     }
 }
