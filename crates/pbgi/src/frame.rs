@@ -13,6 +13,7 @@ use pbgi_image::{
 use pbgi_math::{DVec3, Vec3};
 use pbgi_scene::{CameraView, Coverage, HideOptions, Micropolygon, PixelWindow, Scene, hide};
 use pbgi_schedule::{Receiver, Shading};
+use std::collections::HashMap;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -135,6 +136,8 @@ impl From<&Micropolygon> for Piece {
 /// What a band of the image shows.
 pub(crate) struct Band {
     pub pieces: Vec<Piece>,
+    /// Of surfels, their numbers in the file; empty for micropolygons, which no two bands share.
+    pub ids: Vec<u64>,
     pub coverage: Coverage,
 }
 
@@ -174,6 +177,8 @@ struct FrameJob<'a> {
     origin: DVec3,
     /// Rows that are made at once.
     band_rows: u32,
+    /// Results of the surfels shown so far, by their numbers in the file.
+    shaded_surfels: HashMap<u64, Shading>,
     cancel: &'a AtomicBool,
     start: Instant,
 }
@@ -208,7 +213,18 @@ impl<'a> FrameJob<'a> {
         let camera = context.find(&request.camera)?;
         let view = CameraView { camera, width: request.width, height: request.height };
         let band_rows = (band_rows / TILE_ROWS * TILE_ROWS).max(TILE_ROWS);
-        Ok(Self { request, header, session, view, origin, band_rows, cancel, start })
+        let shaded_surfels = HashMap::new();
+        Ok(Self {
+            request,
+            header,
+            session,
+            view,
+            origin,
+            band_rows,
+            shaded_surfels,
+            cancel,
+            start,
+        })
     }
 
     fn run(mut self, progress: &Progress) -> Result<Frame, PbgiError> {
@@ -230,7 +246,7 @@ impl<'a> FrameJob<'a> {
             seen.count(&visible);
             let count = visible.pieces.len() as u64;
             let phase = progress.start_phase("shade", "receivers", Some(count));
-            let shadings = self.shade(&visible.pieces, &|done| phase.set_done(done))?;
+            let shadings = self.shade(&visible, &|done| phase.set_done(done))?;
             drop(phase);
             let background = self.session.environment.as_ref();
             image.append(&visible, &shadings, background, &self.view, self.origin);
@@ -251,23 +267,32 @@ impl<'a> FrameJob<'a> {
         };
         let visible = hide(scene, &self.view, &options)?;
         let pieces = visible.micropolygons.iter().map(Piece::from).collect();
-        Ok(Band { pieces, coverage: visible.coverage })
+        Ok(Band { pieces, ids: Vec::new(), coverage: visible.coverage })
     }
 
+    /// Shades the pieces of a band. Surfels that an earlier band has shown are not shaded again.
     fn shade(
         &mut self,
-        pieces: &[Piece],
+        band: &Band,
         advance: &(dyn Fn(u64) + Sync),
     ) -> Result<Vec<Shading>, PbgiError> {
         let shift = self.origin - self.header.origin;
-        let receivers: Vec<Receiver> = pieces
-            .iter()
-            .map(|piece| Receiver {
-                position: (piece.position.as_dvec3() + shift).as_vec3(),
-                normal: piece.normal,
-            })
-            .collect();
-        self.session.shade(&receivers, advance)
+        let receiver = |piece: &Piece| Receiver {
+            position: (piece.position.as_dvec3() + shift).as_vec3(),
+            normal: piece.normal,
+        };
+        if band.ids.is_empty() {
+            let receivers: Vec<Receiver> = band.pieces.iter().map(receiver).collect();
+            return self.session.shade(&receivers, None, advance);
+        }
+        let is_new = |(id, _): &(&u64, &Piece)| !self.shaded_surfels.contains_key(*id);
+        let (ids, receivers): (Vec<u64>, Vec<Receiver>) = (band.ids.iter().zip(&band.pieces))
+            .filter(is_new)
+            .map(|(id, piece)| (*id, receiver(piece)))
+            .unzip();
+        let shadings = self.session.shade(&receivers, Some(&ids), advance)?;
+        self.shaded_surfels.extend(ids.into_iter().zip(shadings));
+        Ok(band.ids.iter().map(|id| self.shaded_surfels[id]).collect())
     }
 
     /// Turns pictures of nothing into errors and doubtful ones into warnings.
@@ -331,7 +356,9 @@ impl Seen {
 fn frame_bytes(request: &FrameRequest<'_>) -> (u64, u64) {
     let width = u64::from(request.width);
     let pixels = width * u64::from(request.height);
-    let image = pixels * (crate::output::channel_count(&request.aovs) as u64 * 4 + 16);
+    // Surfels keep their results until the end: about one per pixel, in a table half full.
+    let kept = if request.scene.is_none() { 2 * (8 + size_of::<Shading>() as u64) } else { 0 };
+    let image = pixels * (crate::output::channel_count(&request.aovs) as u64 * 4 + 16 + kept);
     // A piece, its receiver and its result, with what hiding holds while it makes them.
     let piece = (size_of::<Piece>() + size_of::<Micropolygon>() + size_of::<Shading>() + 40) as f64;
     let pieces_per_pixel = match request.scene {
@@ -341,4 +368,60 @@ fn frame_bytes(request: &FrameRequest<'_>) -> (u64, u64) {
     let depth = if request.scene.is_none() { 12 * u64::from(request.samples) } else { 0 };
     let per_pixel = (piece * pieces_per_pixel) as u64 + depth + 160;
     (image, width * per_pixel)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{BakeRequest, EnvironmentSpec, LightSource, Sampling, bake, load_scene};
+
+    fn request<'a>(octree: &'a Path, scene: Option<&'a Scene>) -> FrameRequest<'a> {
+        let source = LightSource::Uniform([1.0, 2.0, 3.0]);
+        FrameRequest {
+            octree,
+            scene,
+            camera: CameraChoice::Default,
+            width: 40,
+            height: 150,
+            samples: 4,
+            shading_rate: 4.0,
+            aovs: FRAME_AOVS.to_vec(),
+            names: AovNames::default(),
+            settings: ShadeSettings {
+                environment: Some(EnvironmentSpec { source, rotate_degrees: 0.0, scale: 1.0 }),
+                solid_angle_sr: 0.3,
+                check_receivers: 9,
+                ..ShadeSettings::default()
+            },
+        }
+    }
+
+    /// A limit that makes bands must not show: neither in the image nor in what is measured.
+    #[test]
+    fn bands_give_the_image_of_the_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let octree = folder.path().join("box.pbgi");
+        let bake_request = BakeRequest {
+            inputs: vec!["demo:cornell".into()],
+            output: octree.clone(),
+            sampling: Sampling::Surfels(2000),
+            ..BakeRequest::default()
+        };
+        let (progress, cancel) = (Progress::silent(), AtomicBool::new(false));
+        bake(&bake_request, &progress, &cancel).unwrap();
+        let scene = load_scene("demo:cornell").unwrap();
+        for scene in [Some(&scene), None] {
+            let request = request(&octree, scene);
+            let make = |band_rows: u32| {
+                let mut job = FrameJob::prepare(&request, &cancel).unwrap();
+                assert_eq!(job.band_rows, 192);
+                job.band_rows = band_rows;
+                job.run(&progress).unwrap()
+            };
+            let (whole, bands) = (make(192), make(64));
+            assert!(whole.image == bands.image);
+            assert_eq!(whole.attributes, bands.attributes);
+            assert_eq!(whole.report.receivers, bands.report.receivers);
+        }
+    }
 }

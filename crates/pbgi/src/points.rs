@@ -121,7 +121,8 @@ fn shade_table(
                 normal: table.normals[row],
             })
             .collect();
-        let shadings = session.shade(&receivers, &|done| phase.set_done(first as u64 + done))?;
+        let shadings =
+            session.shade(&receivers, None, &|done| phase.set_done(first as u64 + done))?;
         for (row, shading) in rows.zip(&shadings) {
             let position = (table.positions[row].as_dvec3() + table.origin).as_vec3();
             writer.start_row(position, table.normals[row], shading);
@@ -151,7 +152,7 @@ fn shade_surfels(
             normal: if s.isotropic { up } else { s.normal },
         };
         let receivers: Vec<Receiver> = chunk.iter().map(receiver).collect();
-        let shadings = session.shade(&receivers, &|now| phase.set_done(done + now))?;
+        let shadings = session.shade(&receivers, None, &|now| phase.set_done(done + now))?;
         done += chunk.len() as u64;
         for (surfel, (receiver, shading)) in chunk.iter().zip(receivers.iter().zip(&shadings)) {
             let position = (surfel.center.as_dvec3() + origin).as_vec3();

@@ -257,10 +257,12 @@ impl<'a> Session<'a> {
     }
 
     /// Shades `receivers`, positions relative to the octree's origin; `advance` is told how many have
-    /// been done in this call.
+    /// been done in this call. `ids` tell receivers apart whatever the order they come in; without
+    /// them, that order counts.
     pub fn shade(
         &mut self,
         receivers: &[Receiver],
+        ids: Option<&[u64]>,
         advance: &(dyn Fn(u64) + Sync),
     ) -> Result<Vec<Shading>, PbgiError> {
         let mut shadings = Vec::with_capacity(receivers.len());
@@ -277,7 +279,9 @@ impl<'a> Session<'a> {
             self.cut.add(&report.cut);
             self.seconds += report.seconds;
             for (offset, (receiver, shading)) in chunk.iter().zip(&part).enumerate() {
-                self.sample.offer(self.receivers + offset as u64, receiver, shading);
+                let number = self.receivers + offset as u64;
+                let id = ids.map_or(number, |ids| ids[before as usize + offset]);
+                self.sample.offer(id, receiver, shading);
             }
             self.receivers += chunk.len() as u64;
             shadings.extend(part);

@@ -42,7 +42,7 @@ pub(crate) fn hide_surfels(
         }
         Ok(())
     })?;
-    Ok(Band { pieces, coverage: visible.coverage })
+    Ok(Band { pieces, ids: visible.ids, coverage: visible.coverage })
 }
 
 /// Walks the leaves on a thread of its own, a chunk ahead of the drawing.
