@@ -265,9 +265,10 @@ impl<'a> Baker<'a> {
         let mut stream = RelitStream::new(sorted, pass);
         let summary = self.stream_summary(&summary, radiance_bound);
         let build = build_octree(&mut stream, &summary, options, target)?;
-        let reached = stream.radiance_max;
+        let (reached, gathers) = (stream.radiance_max, stream.gathers);
         phase.set_done(build.surfels);
         drop(phase);
+        self.progress.detail(&format!("{name}: {gathers} gathers for {} surfels", build.surfels));
         self.end_phase(name, start, build.surfels);
         Ok((build, reached))
     }

@@ -179,6 +179,8 @@ pub(crate) struct RelitStream<'a> {
     /// Code of the last surfel handed on.
     previous: Option<MortonCode>,
     done: u64,
+    /// Gathers so far.
+    pub gathers: u64,
     /// Largest radiance handed on so far.
     pub radiance_max: f32,
 }
@@ -206,6 +208,7 @@ impl<'a> RelitStream<'a> {
             is_read: false,
             previous: None,
             done: 0,
+            gathers: 0,
             radiance_max: 0.0,
         }
     }
@@ -261,6 +264,7 @@ impl SortedStream for RelitStream<'_> {
             out.push((code, surfel));
         }
         self.done += shared.place.len() as u64;
+        self.gathers += shared.chosen.len() as u64;
         self.pass.phase.set_done(self.done);
         Ok(!(self.is_read && self.ahead.is_empty()))
     }
