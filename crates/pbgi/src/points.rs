@@ -83,7 +83,8 @@ pub fn shade_points(
         PointSource::File(path) => Some(ReceiverTable::read(path)?),
         PointSource::Surfels => None,
     };
-    let mut writer = ResultWriter::create(request.target, table.as_ref())?;
+    let origin = table.as_ref().map_or(header.origin, |table| table.origin);
+    let mut writer = ResultWriter::create(request.target, table.as_ref(), origin)?;
     let count = table.as_ref().map_or(0, |t| t.len() as u64);
     let frame_bytes = count * RECEIVER_BYTES + CHUNK_BYTES;
     let split = MemorySplit::measure(settings.memory_bytes, settings.threads)
@@ -124,10 +125,10 @@ fn shade_table(
         let shadings =
             session.shade(&receivers, None, &|done| phase.set_done(first as u64 + done))?;
         for (row, shading) in rows.zip(&shadings) {
-            let position = (table.positions[row].as_dvec3() + table.origin).as_vec3();
+            let position = table.positions[row].as_dvec3() + table.origin;
             writer.start_row(position, table.normals[row], shading);
             for index in &writer.passed_columns {
-                writer.row.push(table.columns[*index].values[row]);
+                writer.row.push(f64::from(table.columns[*index].values[row]));
             }
             writer.end_row()?;
         }
@@ -155,10 +156,10 @@ fn shade_surfels(
         let shadings = session.shade(&receivers, None, &|now| phase.set_done(done + now))?;
         done += chunk.len() as u64;
         for (surfel, (receiver, shading)) in chunk.iter().zip(receivers.iter().zip(&shadings)) {
-            let position = (surfel.center.as_dvec3() + origin).as_vec3();
+            let position = surfel.center.as_dvec3() + origin;
             writer.start_row(position, receiver.normal, shading);
-            writer.row.extend([surfel.radius, surfel.area]);
-            writer.row.extend(surfel.albedo);
+            writer.extend([surfel.radius, surfel.area]);
+            writer.extend(surfel.albedo);
             writer.end_row()?;
         }
         chunk.clear();
@@ -179,14 +180,20 @@ fn shade_surfels(
 /// Rows of results on their way into a PLY file.
 struct ResultWriter {
     writer: PlyWriter,
-    row: Vec<f32>,
+    row: Vec<f64>,
     /// Columns of the input that pass through.
     passed_columns: Vec<usize>,
 }
 
 impl ResultWriter {
-    /// Starts the file: results, then columns of `table`, or those of surfels without one.
-    fn create(target: &Path, table: Option<&ReceiverTable>) -> Result<Self, PbgiError> {
+    /// Starts the file: results, then columns of `table`, or those of surfels without one. Positions
+    /// are doubles where coordinates are relative to an `origin`.
+    fn create(
+        target: &Path,
+        table: Option<&ReceiverTable>,
+        origin: DVec3,
+    ) -> Result<Self, PbgiError> {
+        let double_count = if origin == DVec3::ZERO { 0 } else { 3 };
         let mut names: Vec<&str> = RESULT_COLUMNS.to_vec();
         let mut passed_columns = Vec::new();
         match table {
@@ -200,19 +207,24 @@ impl ResultWriter {
                 }
             }
         }
-        Ok(Self { writer: PlyWriter::create(target, &names)?, row: Vec::new(), passed_columns })
+        let writer = PlyWriter::create_with_doubles(target, &names, double_count)?;
+        Ok(Self { writer, row: Vec::new(), passed_columns })
     }
 
-    fn start_row(&mut self, position: Vec3, normal: Vec3, shading: &Shading) {
+    fn start_row(&mut self, position: DVec3, normal: Vec3, shading: &Shading) {
         self.row.clear();
         self.row.extend(position.to_array());
-        self.row.extend(normal.to_array());
-        self.row.extend(shading.irradiance());
-        self.row.extend([shading.ambient_occlusion, shading.sky_visibility]);
-        self.row.extend(shading.bent_normal.to_array());
+        self.extend(normal.to_array());
+        self.extend(shading.irradiance());
+        self.extend([shading.ambient_occlusion, shading.sky_visibility]);
+        self.extend(shading.bent_normal.to_array());
+    }
+
+    fn extend<const N: usize>(&mut self, values: [f32; N]) {
+        self.row.extend(values.map(f64::from));
     }
 
     fn end_row(&mut self) -> Result<(), PbgiError> {
-        Ok(self.writer.write_rows(&self.row)?)
+        Ok(self.writer.write_double_rows(&self.row)?)
     }
 }
