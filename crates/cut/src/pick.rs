@@ -73,6 +73,9 @@ impl CutStats {
     }
 }
 
+/// How far near disks reach out of the box of their node at most, as a share of the box's largest edge.
+const OVERHANG: f32 = 0.125;
+
 /// A group on the way from the root to where the walk is.
 struct Frame {
     page: PageRef,
@@ -143,7 +146,10 @@ pub fn pick_cut<V: CutVisitor, T: Threshold>(
         let low = Vec3::new(frame.low[0][index], frame.low[1][index], frame.low[2][index]);
         let high = Vec3::new(frame.high[0][index], frame.high[1][index], frame.high[2][index]);
         let large = frame.large & bit != 0;
-        let margin = if large { frame.cover_margin } else { 0.0 };
+        // Disks reach out of their boxes by an eighth of a box's edge, needles farther but transparent; the group's
+        // margin may come from one giant among its surfels.
+        let reach = OVERHANG * (high - low).max_element();
+        let margin = if large { frame.cover_margin.min(reach) } else { 0.0 };
         if !visitor.is_open(low - margin, high + margin) {
             stats.culled_opaque += 1;
             continue;
