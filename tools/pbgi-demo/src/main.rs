@@ -45,6 +45,10 @@ struct DemoArgs {
 /// Columns of the sky's image; it is half as high.
 const SKY_COLUMNS: usize = 2048;
 
+/// Neighbors on one surface that share a gather when the surfels are lit: their light is only seen
+/// reflected by others.
+const SHARE: usize = 16;
+
 /// Receivers of which the error is measured.
 const CHECK_RECEIVERS: usize = 200;
 
@@ -133,6 +137,7 @@ impl Demo {
             sampling: Sampling::Surfels(self.surfels),
             light: LightRequest {
                 environment: Some(EnvironmentSpec::from_file(sky)),
+                share: SHARE,
                 ..LightRequest::default()
             },
             memory_limit: self.common.memory_limit,
