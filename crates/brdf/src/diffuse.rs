@@ -173,7 +173,7 @@ pub fn convolve_diffuse(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pbgi_raster::Splat;
+    use pbgi_raster::{Ink, Lanes, Section, SimdLevel, Veil, WideKernel, run_wide};
 
     fn normals() -> impl Iterator<Item = Vec3> {
         (0..200u32).map(|i| {
@@ -206,6 +206,26 @@ mod tests {
         }
     }
 
+    /// Empties the raster for a normal and draws planes at distance 1, in boxes, with radiance 3.
+    struct Draw<'a>(&'a mut CubeRaster, Vec3, &'a [(Vec3, Vec3, Vec3)]);
+
+    impl WideKernel for Draw<'_> {
+        type Output = ();
+
+        fn run<L: Lanes>(self) {
+            let ink = Ink {
+                veil: Veil::OPAQUE,
+                solid_angle: 1.0,
+                radiance: [3.0; 3],
+                tolerance: 0.01,
+            };
+            self.0.clear::<L>(self.1);
+            for &(inverse, low, high) in self.2 {
+                self.0.draw::<L, _>(&Section { inverse, low, high }, low, high, &ink);
+            }
+        }
+    }
+
     #[test]
     fn an_open_uniform_sky_gives_pi() {
         let table = CubeRasterTable::new(8);
@@ -213,7 +233,7 @@ mod tests {
         let sky = EnvironmentTexels::new(&table, &vec![[2.0, 1.0, 0.5]; 384]);
         let mut raster = CubeRaster::new(&table, true);
         for normal in normals() {
-            raster.clear(normal);
+            run_wide(SimdLevel::Baseline, Draw(&mut raster, normal, &[]));
             let found = convolve_diffuse(&raster, &sums, Some(&sky), normal, normal);
             assert!((found.environment_irradiance[0] / (2.0 * PI) - 1.0).abs() < 1e-4);
             assert!((found.ambient_occlusion - 1.0).abs() < 1e-4);
@@ -228,13 +248,14 @@ mod tests {
         let sums = ConvolutionTable::new(&table);
         let sky = EnvironmentTexels::new(&table, &vec![[1.0; 3]; 384]);
         let mut raster = CubeRaster::new(&table, true);
-        raster.clear(Vec3::Y);
         // A wall over everything with x > 0, shining with radiance 3.
-        let wall = Splat { front: 1.0, radiance: [3.0; 3], far: 100.0, ..Splat::default() };
-        raster.draw_box(Vec3::new(0.0, 1.0, -50.0), Vec3::new(50.0, 1.0, 50.0), &wall);
-        raster.draw_box(Vec3::new(1.0, 0.0, -50.0), Vec3::new(1.0, 50.0, 50.0), &wall);
-        raster.draw_box(Vec3::new(0.0, 0.0, 1.0), Vec3::new(50.0, 50.0, 1.0), &wall);
-        raster.draw_box(Vec3::new(0.0, 0.0, -1.0), Vec3::new(50.0, 50.0, -1.0), &wall);
+        let walls = [
+            (Vec3::Y, Vec3::new(0.0, 0.9, -50.0), Vec3::new(50.0, 1.1, 50.0)),
+            (Vec3::X, Vec3::new(0.9, 0.0, -50.0), Vec3::new(1.1, 50.0, 50.0)),
+            (Vec3::Z, Vec3::new(0.0, 0.0, 0.9), Vec3::new(50.0, 50.0, 1.1)),
+            (Vec3::NEG_Z, Vec3::new(0.0, 0.0, -1.1), Vec3::new(50.0, 50.0, -0.9)),
+        ];
+        run_wide(SimdLevel::Baseline, Draw(&mut raster, Vec3::Y, &walls));
         let found = convolve_diffuse(&raster, &sums, Some(&sky), Vec3::Y, Vec3::Y);
         assert!((found.ambient_occlusion - 0.5).abs() < 0.01, "{found:?}");
         assert!((found.environment_irradiance[0] - PI / 2.0).abs() < 0.03);

@@ -2,7 +2,7 @@
 
 use pbgi_cloud::Surfel;
 use pbgi_format::{LOBES_MAX, Lobe};
-use pbgi_math::{Aabb, DVec3, luminance};
+use pbgi_math::{Aabb, DVec3, luminance, section_area};
 
 /// Surfels of similar normals and radiance, summed in f64. See [`Lobe`] for the function it stands for.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -11,6 +11,8 @@ pub struct LobeSum {
     pub vector: DVec3,
     /// `Σ aᵢ`; twice the area for isotropic surfels, which show half of it to *every* direction.
     pub area: f64,
+    /// `Σ aᵢ xᵢ`, area counted as in `area`.
+    pub moment: DVec3,
     /// `Σ aᵢ Lᵢ`, area counted as in `area`.
     pub flux: [f64; 3],
     /// Whether backs block.
@@ -26,6 +28,7 @@ impl LobeSum {
         Self {
             vector: if isotropic { DVec3::ZERO } else { surfel.normal().as_dvec3() * area },
             area,
+            moment: surfel.center().as_dvec3() * area,
             flux: surfel.radiance.map(|c| f64::from(c) * area),
             blocks_back: !isotropic && !surfel.is_front_only(),
         }
@@ -34,6 +37,7 @@ impl LobeSum {
     fn add(&mut self, other: &Self) {
         self.vector += other.vector;
         self.area += other.area;
+        self.moment += other.moment;
         for (sum, part) in self.flux.iter_mut().zip(other.flux) {
             *sum += part;
         }
@@ -63,14 +67,29 @@ impl LobeSum {
             + glare * self.area.min(other.area)
     }
 
-    /// The stored form.
+    /// The stored form, in a node whose stored box is `bounds`.
     #[must_use]
-    pub fn to_lobe(self) -> Lobe {
+    pub fn to_lobe(self, bounds: &Aabb) -> Lobe {
+        let length = self.vector.length();
+        let (mut height, mut fill) = (0.0, 1.0);
+        if length > 0.0 {
+            let normal = self.vector / length;
+            let (low, high) = (bounds.min.as_dvec3(), bounds.max.as_dvec3());
+            let (center, half) = ((low + high) * 0.5, (high - low) * 0.5);
+            // A flat box has some thickness: normals scatter, and its corners are rounded.
+            let half = half.max(DVec3::splat(1e-3 * half.max_element()));
+            let reach = normal.abs().dot(half).max(f64::MIN_POSITIVE);
+            height = (normal.dot(self.moment / self.area - center) / reach).clamp(-1.0, 1.0);
+            let section = section_area(half, normal, height * reach);
+            fill = (length / section.max(f64::MIN_POSITIVE)).min(1.0);
+        }
         Lobe {
             vector: self.vector.as_vec3(),
-            width: solve_width(self.vector.length(), self.area) as f32,
+            width: solve_width(length, self.area) as f32,
             blocks_back: self.blocks_back,
             radiance: self.radiance(),
+            height: height as f32,
+            fill: fill as f32,
         }
     }
 }
@@ -244,7 +263,7 @@ mod tests {
     fn worst_error(surfels: &[Surfel]) -> f32 {
         let node = NodeAggregate::from_surfels(surfels);
         let total: f32 = surfels.iter().map(|s| s.area).sum();
-        let lobes: Vec<_> = node.lobes.iter().map(|l| l.to_lobe()).collect();
+        let lobes: Vec<_> = node.lobes.iter().map(|l| l.to_lobe(&node.bounds)).collect();
         directions(500)
             .map(|d| {
                 let shown: f32 = lobes.iter().map(|l| l.front_area(d)).sum();
@@ -289,7 +308,7 @@ mod tests {
             );
         }
         let node = NodeAggregate::from_surfels(&surfels);
-        let lobes: Vec<_> = node.lobes.iter().map(|l| l.to_lobe()).collect();
+        let lobes: Vec<_> = node.lobes.iter().map(|l| l.to_lobe(&node.bounds)).collect();
         let (mut shown, mut flux) = (0f64, 0f64);
         for d in directions(4000) {
             for lobe in &lobes {
@@ -308,7 +327,7 @@ mod tests {
     fn isotropic_surfels_show_half_their_area_everywhere() {
         let surfel = Surfel::new(Vec3::ZERO, Vec3::Z, 1.0, 3.0).with_flags(SurfelFlags::ISOTROPIC);
         let node = NodeAggregate::from_surfels(&[surfel]);
-        let lobe = node.lobes[0].to_lobe();
+        let lobe = node.lobes[0].to_lobe(&node.bounds);
         for d in directions(20) {
             assert!((lobe.front_area(d) - 1.5).abs() < 1e-5);
             assert_eq!(lobe.back_area(d), 0.0);

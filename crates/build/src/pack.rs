@@ -79,9 +79,11 @@ impl Group {
                     ChildContent::Group(group)
                 }
             };
+            let stored_box = ChildBox::around(&node.aggregate.bounds, &bounds);
+            let decoded = stored_box.decode(&bounds);
             children.push(Child {
-                stored_box: ChildBox::around(&node.aggregate.bounds, &bounds),
-                lobes: node.aggregate.lobes.iter().map(|l| l.to_lobe()).collect(),
+                stored_box,
+                lobes: node.aggregate.lobes.iter().map(|l| l.to_lobe(&decoded)).collect(),
                 content,
             });
         }

@@ -4,8 +4,10 @@
 //! what a raster, a BRDF or an image is.
 #![forbid(unsafe_code)]
 
+mod cluster;
 mod metric;
 mod pick;
 
-pub use metric::{Cluster, Threshold, UniformThreshold};
+pub use cluster::{Cluster, Piece};
+pub use metric::{Threshold, UniformThreshold};
 pub use pick::{CutReceiver, CutScratch, CutStats, CutVisitor, SurfelSeen, pick_cut};

@@ -1,6 +1,7 @@
 //! The walk: depth first, children front to back.
 
-use crate::metric::{Cluster, Threshold};
+use crate::cluster::Cluster;
+use crate::metric::Threshold;
 use pbgi_format::{
     CHILDREN_MAX, ChildLink, FormatError, GroupView, LeafSurfel, NodePage, PageId, SurfelLayout,
     SurfelPage,
@@ -27,6 +28,8 @@ pub struct CutReceiver {
 pub struct SurfelSeen {
     /// The surfel; its center is relative to the receiver.
     pub surfel: LeafSurfel,
+    /// Tells surfels apart.
+    pub seed: u32,
     /// Squared distance of its center.
     pub distance2: f32,
 }
@@ -166,7 +169,8 @@ pub fn pick_cut<V: CutVisitor, T: Threshold>(
         };
         if !large {
             let lobes = group.lobe_bytes(index, layout.channels);
-            let cluster = Cluster::from_lobes(low, high, lobes, &layout);
+            let seed = node_seed(frame.page_id, frame.offset, octant);
+            let cluster = Cluster::from_lobes(low, high, lobes, seed, &layout);
             visitor.take_cluster(&cluster);
             stats.clusters += 1;
             continue;
@@ -193,6 +197,12 @@ pub fn pick_cut<V: CutVisitor, T: Threshold>(
         frames.push(open_frame(reader, start, receiver, threshold, &layout, stats)?);
     }
     Ok(())
+}
+
+/// A number that tells nodes apart.
+#[inline(always)]
+fn node_seed(page: PageId, offset: u32, octant: u8) -> u32 {
+    page.0.wrapping_mul(0x9e37_79b9) ^ offset.wrapping_mul(0x85eb_ca6b) ^ u32::from(octant) << 28
 }
 
 #[cold]
@@ -332,7 +342,8 @@ fn take_leaf<V: CutVisitor>(
         if top <= receiver.bias + receiver.surfel_bias * surfel.radius || distance2 == 0.0 {
             continue;
         }
-        visitor.take_surfel(&SurfelSeen { surfel, distance2 });
+        let seed = node_seed(id, leaf.first + index, 0);
+        visitor.take_surfel(&SurfelSeen { surfel, seed, distance2 });
         stats.surfels += 1;
     }
     Ok(())

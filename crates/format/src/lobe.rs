@@ -1,7 +1,7 @@
 //! The directional form of a node: how much area it shows, and what radiance, in each direction.
 
 use crate::{Channels, MiniFloat, read_u16, read_u32};
-use pbgi_math::{SharedExponent, Vec3, decode_octahedral, encode_octahedral};
+use pbgi_math::{SharedExponent, Vec3, decode_octahedral24, encode_octahedral24};
 
 /// Most lobes a node may have.
 pub const LOBES_MAX: usize = 4;
@@ -27,6 +27,11 @@ pub struct Lobe {
     pub blocks_back: bool,
     /// Mean radiance of the front, W·m⁻²·sr⁻¹.
     pub radiance: [f32; 3],
+    /// Where the surfels' plane lies: height of their centroid along `vector` over the center of the node's stored box, as
+    /// a share of how far the box reaches in that direction, −1..=1.
+    pub height: f32,
+    /// Area of the surfels, seen along `vector`, over that of the section of the box by that plane, 0..=1.
+    pub fill: f32,
 }
 
 impl Lobe {
@@ -66,10 +71,14 @@ impl Lobe {
     ) {
         let length = self.vector.length();
         let normal = if length > 0.0 { self.vector / length } else { Vec3::Z };
-        out.extend_from_slice(&encode_octahedral(normal).to_le_bytes());
+        let size = length + self.width;
+        let share = |x: f32| (x.clamp(0.0, 1.0) * 255.0).round() as u8;
+        let height = (self.height.clamp(-1.0, 1.0) * 127.0).round() as i8;
+        let direction = encode_octahedral24(normal).to_le_bytes();
+        out.extend_from_slice(&[direction[0], direction[1], direction[2], height as u8]);
         let flag = u16::from(self.blocks_back) << 15;
-        out.extend_from_slice(&(area.encode(length) | flag).to_le_bytes());
-        out.extend_from_slice(&area.encode(self.width).to_le_bytes());
+        out.extend_from_slice(&(area.encode(size) | flag).to_le_bytes());
+        out.extend_from_slice(&[share(self.width / size.max(f32::MIN_POSITIVE)), share(self.fill)]);
         if channels == Channels::Rgb {
             let stored = SharedExponent::from_rgb(self.radiance.map(|c| c / radiance_scale));
             out.extend_from_slice(&stored.0.to_le_bytes());
@@ -80,17 +89,22 @@ impl Lobe {
     #[must_use]
     #[inline(always)]
     pub fn read(bytes: &[u8], channels: Channels, area: MiniFloat, radiance_scale: f32) -> Self {
-        let length_code = read_u16(bytes, 4);
+        let place = read_u32(bytes, 0);
+        let size_code = read_u16(bytes, 4);
+        let size = area.decode(size_code);
+        let width = size * f32::from(bytes[6]) * (1.0 / 255.0);
         Self {
-            vector: decode_octahedral(read_u32(bytes, 0)) * area.decode(length_code),
-            width: area.decode(read_u16(bytes, 6)),
-            blocks_back: length_code & 0x8000 != 0,
+            vector: decode_octahedral24(place) * (size - width),
+            width,
+            blocks_back: size_code & 0x8000 != 0,
             radiance: match channels {
                 Channels::Occlusion => [0.0; 3],
                 Channels::Rgb => {
                     SharedExponent(read_u32(bytes, 8)).to_rgb().map(|c| c * radiance_scale)
                 }
             },
+            height: (f32::from((place >> 24) as u8 as i8) * (1.0 / 127.0)).max(-1.0),
+            fill: f32::from(bytes[7]) * (1.0 / 255.0),
         }
     }
 }
@@ -117,6 +131,8 @@ mod tests {
             width: 0.01,
             blocks_back: true,
             radiance: [10.0, 5.0, 1.0],
+            height: -0.7,
+            fill: 0.6,
         };
         let area = MiniFloat::covering(2.0);
         for channels in [Channels::Occlusion, Channels::Rgb] {
@@ -124,8 +140,10 @@ mod tests {
             lobe.write(channels, area, 0.25, &mut bytes);
             assert_eq!(bytes.len(), Lobe::stored_bytes(channels));
             let back = Lobe::read(&bytes, channels, area, 0.25);
-            assert!((back.vector - lobe.vector).length() < 0.04 * 2e-3);
-            assert!((back.width / lobe.width - 1.0).abs() < 1e-3);
+            assert!((back.vector - lobe.vector).length() < 0.05 * 4e-3);
+            assert!((back.width - lobe.width).abs() < 0.05 * 2.1e-3);
+            assert!((back.height - lobe.height).abs() < 4.1e-3);
+            assert!((back.fill - lobe.fill).abs() < 2.1e-3);
             assert!(back.blocks_back);
             if channels == Channels::Rgb {
                 assert!((back.radiance[0] / 10.0 - 1.0).abs() < 2e-3);

@@ -9,6 +9,7 @@ mod frame;
 mod morton;
 mod octahedral;
 mod rgbe;
+mod section;
 mod sh;
 mod silhouette;
 mod solid_angle;
@@ -18,8 +19,11 @@ pub use cube::{CubeFace, CubeMap, CubeTexel};
 pub use frame::Frame;
 pub use glam::{Affine3A, DVec3, Mat3, Mat4, Vec2, Vec3, Vec4};
 pub use morton::{MORTON_AXIS_BITS, MortonCode, RootCube};
-pub use octahedral::{decode_octahedral, encode_octahedral};
+pub use octahedral::{
+    decode_octahedral, decode_octahedral24, encode_octahedral, encode_octahedral24,
+};
 pub use rgbe::SharedExponent;
+pub use section::{central_section_area, section_area};
 pub use sh::{SH_COUNT, Sh9, clamped_cosine_sh, evaluate_sh_basis};
 pub use silhouette::box_silhouette;
 pub use solid_angle::{disk_solid_angle, sphere_sin2_for_solid_angle, sphere_solid_angle};

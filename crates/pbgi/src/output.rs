@@ -245,7 +245,6 @@ pub(crate) fn frame_attributes(
         ("pbgi:surfels".to_owned(), Text(report.surfels.to_string())),
         ("pbgi:solidAngle".to_owned(), Float(settings.solid_angle_sr)),
         ("pbgi:raster".to_owned(), Int(settings.raster_edge as i32)),
-        ("pbgi:near".to_owned(), Float(settings.near_radii)),
         ("pbgi:bias".to_owned(), Float(settings.bias)),
         ("pbgi:samples".to_owned(), Int(request.samples as i32)),
         ("pbgi:shadingRate".to_owned(), Float(request.shading_rate)),

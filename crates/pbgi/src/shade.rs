@@ -102,8 +102,6 @@ pub struct ShadeSettings {
     pub solid_angle_sr: f32,
     /// Texels along a face of the cube raster, 1 to 64.
     pub raster_edge: usize,
-    /// Surfels nearer than this many of their radii are intersected texel by texel.
-    pub near_radii: f32,
     /// Surfels that rise less than this share of their radius above a receiver's tangent plane are its
     /// own surface.
     pub bias: f32,
@@ -123,7 +121,6 @@ impl Default for ShadeSettings {
         Self {
             solid_angle_sr: gather.solid_angle_sr,
             raster_edge: gather.raster_edge,
-            near_radii: gather.near_radii,
             bias: gather.bias,
             environment: None,
             check_receivers: 0,
@@ -150,9 +147,6 @@ impl ShadeSettings {
         if !(1..=64).contains(&self.raster_edge) {
             return out_of_range("the raster", &self.raster_edge, "1 to 64 texels along a face");
         }
-        if !(self.near_radii >= 0.0 && self.near_radii.is_finite()) {
-            return out_of_range("the near distance", &self.near_radii, "radii of at least 0");
-        }
         if !(0.0..=10.0).contains(&self.bias) {
             return out_of_range("the bias", &self.bias, "a share of a radius from 0 to 10");
         }
@@ -166,7 +160,6 @@ impl ShadeSettings {
         GatherSettings {
             solid_angle_sr: self.solid_angle_sr,
             raster_edge: self.raster_edge,
-            near_radii: self.near_radii,
             bias: self.bias,
             up: up_axis(header),
             ..GatherSettings::default()

@@ -1,224 +1,180 @@
-//! The cube raster: coverage and radiance per texel, composited front to back.
+//! The cube raster: which samples are covered and how far away, and the radiance of each texel.
 
 use crate::footprint::{FaceRectangle, project_box};
-use crate::{larger, smaller};
-use pbgi_math::{CubeFace, CubeMap, CubeTexel, Vec3};
+use crate::lanes::{Lanes, SAMPLES};
+use crate::samples::{Veil, place};
+use crate::shape::Shape;
+use crate::table::{CubeRasterTable, LANES};
+use pbgi_math::{CubeFace, Vec3};
 
-/// Texels that are updated together; rows are padded to a multiple.
-pub const LANES: usize = 8;
+/// Every sample of a texel.
+const ALL: u16 = u16::MAX;
 
-/// Lanes as floats: converting them in the loop would leave the vector units.
-pub(crate) const LANE_NUMBERS: [f32; LANES] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
+/// Solid angle, in steradians, up to which a piece's own solid angle is better than the count of its samples.
+const SMALL_SR: f32 = 0.06;
 
-/// Coverage from which on a texel counts as opaque.
-const OPAQUE: f32 = 0.999;
-
-/// Coverage from which on a layer of solid pieces counts as whole.
-///
-/// Footprints of neighboring pieces sum to one only on average: where they overlap the sum saturates, where they
-/// part it falls short, and light would leak through walls. A texel that is truly covered by seven eighths and more,
-/// at the edge of something solid, gains a sixteenth on average; that is 0.4 % of a silhouette's texels' area.
-pub(crate) const SOLID_WHOLE: f32 = 0.875;
-
-/// What never changes for a resolution: geometry of the texels, in padded rows.
-#[derive(Clone, Debug)]
-pub struct CubeRasterTable {
-    map: CubeMap,
-    stride: usize,
-    texels: Vec<CubeTexel>,
-}
-
-impl CubeRasterTable {
-    /// Table for `n × n` texels per face.
-    ///
-    /// # Panics
-    ///
-    /// If `n` is not in 1..=64.
-    #[must_use]
-    pub fn new(n: usize) -> Self {
-        assert!((1..=64).contains(&n), "1 to 64 texels along a face");
-        let map = CubeMap::new(n);
-        let stride = n.next_multiple_of(LANES);
-        let outside = CubeTexel { direction: Vec3::Z, solid_angle_sr: 0.0, vector: Vec3::ZERO };
-        let mut texels = vec![outside; 6 * n * stride];
-        for index in 0..map.texel_count() {
-            texels[index / n * stride + index % n] = map.texel(index);
-        }
-        Self { map, stride, texels }
-    }
-
-    /// Texels along a face.
-    #[must_use]
-    #[inline(always)]
-    pub fn edge(&self) -> usize {
-        self.map.edge()
-    }
-
-    /// Texels of a row in memory: `edge` rounded up to [`LANES`].
-    #[must_use]
-    #[inline(always)]
-    pub fn stride(&self) -> usize {
-        self.stride
-    }
-
-    /// Texels in memory, row by row, face by face; those beyond the edge have no solid angle.
-    #[must_use]
-    #[inline(always)]
-    pub fn texels(&self) -> &[CubeTexel] {
-        &self.texels
-    }
-
-    /// Brings values of the texels of a [`CubeMap`] of this resolution into padded rows.
-    ///
-    /// # Panics
-    ///
-    /// If there is not one value per texel.
-    #[must_use]
-    pub fn pad<T: Copy + Default>(&self, values: &[T]) -> Vec<T> {
-        let n = self.edge();
-        assert_eq!(values.len(), self.map.texel_count(), "one value per texel");
-        let mut padded = vec![T::default(); self.texels.len()];
-        for (row, values) in values.chunks_exact(n).enumerate() {
-            padded[row * self.stride..][..n].copy_from_slice(values);
-        }
-        padded
-    }
-
-    /// Index in memory of the texel a direction falls into.
-    #[must_use]
-    pub fn texel_index(&self, direction: Vec3) -> usize {
-        let (n, index) = (self.edge(), self.map.texel_index(direction));
-        index / n * self.stride + index % n
-    }
-}
-
-/// What is drawn: how opaque a box's silhouette is, seen from the receiver, and its light.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Splat {
-    /// Share of the silhouette that surfaces facing the receiver cover, 0..=1.
-    pub front: f32,
-    /// Share that surfaces turned away cover (black), 0..=1.
-    pub back: f32,
-    /// Whether it is a piece of a solid thing's surface, whose neighbors leave no gap.
-    pub solid: bool,
-    /// Mean radiance of the facing surfaces.
+/// How a piece covers and shines.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ink {
+    /// The samples it covers among those it meets.
+    pub veil: Veil,
+    /// Solid angle of its surfaces, as if nothing hid them; sr.
+    pub solid_angle: f32,
+    /// Radiance toward the receiver, 0 for backs.
     pub radiance: [f32; 3],
-    /// Distance of the nearest of the surfaces, as far as known.
-    pub near: f32,
-    /// Distance of the farthest.
-    pub far: f32,
+    /// Surfaces nearer by no more than this share of the distance are its own neighbors, and do not hide it.
+    pub tolerance: f32,
 }
 
-/// What is added to texels: the share of a wholly covered texel, light, and depth.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Ink {
-    pub front: f32,
-    pub back: f32,
-    /// Coverage from which on a layer counts as whole.
-    pub whole: f32,
-    pub radiance: [f32; 3],
-    pub near: f32,
-    pub far: f32,
-}
-
-/// Eight texels of a row.
+/// What eight texels of a row hold when all is drawn.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C, align(32))]
 pub struct TexelChunk {
-    /// Coverage by all layers.
+    /// Share of each texel, above the horizon, that surfaces cover.
     pub covered: [f32; LANES],
-    /// Radiance of the surfaces in each texel, weighted by the share of the texel they show.
+    /// Radiance of the surfaces, weighted by the share of the texel they show.
     pub radiance: [[f32; LANES]; 3],
-    /// Coverage by the layers before the current one, by the current one alone, and how far the
-    /// current one reaches.
-    passed: [f32; LANES],
-    layer: [f32; LANES],
-    layer_far: [f32; LANES],
-    /// Facing coverage that no coverage by surfaces turned away has matched yet.
-    unmatched: [f32; LANES],
 }
 
-/// Six faces of texels around a receiver, aligned with the world.
+/// State of a texel.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(C, align(32))]
+struct Texel {
+    /// Σ of radiance × share of the texel.
+    radiance: [f32; 3],
+    /// Σ of shares.
+    weight: f32,
+    /// Radiance of the last piece drawn.
+    last: [f32; 3],
+    /// Samples covered, and those below the horizon.
+    covered: u16,
+    /// Samples above the horizon.
+    above: u16,
+}
+
+/// Samples of a texel that a piece met.
+#[derive(Clone, Copy, Debug)]
+struct Hit {
+    index: u32,
+    /// Above the horizon and not hidden.
+    visible: u16,
+    /// Not covered before by anything.
+    new: u16,
+}
+
+/// Six faces of texels around a receiver, aligned with the world, sixteen samples each.
 ///
-/// Splats arrive nearest first. Those whose depths overlap or touch are pieces of one surface, which do not
-/// hide each other: their coverage adds up and saturates at 1. A splat that lies wholly behind starts a
-/// new layer, which shows through what the layers before it left open, wherever in the texel that
-/// is: their transmittances multiply. Adding across layers would block too much where leaves
-/// overlap; multiplying within one would leak between the pieces of a wall.
+/// Pieces arrive nearest first, or nearly. A piece covers the samples that meet it, whether they were covered or not: pieces
+/// of one surface, which meet or overlap a little, leave no gap between them, and the coverage of
+/// a texel never exceeds 1. Each sample keeps the inverse depth of what covered it first.
 ///
-/// The back of a closed object is always behind its front, so counting both would block twice where an object
-/// is smaller than a texel: coverage by surfaces turned away counts only as far as it exceeds the facing
-/// coverage that came before it and has not yet been matched. A wall seen from behind blocks in full. Radiance is weighted by the
-/// coverage a splat still found open.
+/// A small piece counts by its own exact solid angle, times the share of its samples that are not hidden, so
+/// that a lamp smaller than a texel keeps its flux; a piece is not hidden by
+/// its neighbors on the same surface, known by their depth. A piece
+/// larger than that counts by the samples it newly covers. In a texel that is covered wholly, shares
+/// must sum to one: what is missing or in excess is made up with the radiance of the last piece.
 #[derive(Clone, Debug)]
 pub struct CubeRaster {
     n: usize,
     stride: usize,
     shines: bool,
-    chunks: Vec<TexelChunk>,
-    /// Texels that are not opaque, one bit each, per row of each face.
+    texels: Vec<Texel>,
+    /// Inverse depth along the face's axis of what covers each sample.
+    depths: Vec<[f32; SAMPLES]>,
+    /// Texels that are not wholly covered, one bit each, per row of each face.
     open: Vec<u64>,
     /// Scale from face coordinates to texels: `n / 2`.
     scale: f32,
-    /// Face area per mean solid angle of each texel of a face.
-    inverse_density: Vec<f32>,
+    /// Places of the samples in a texel, in face coordinates.
+    places: [[f32; SAMPLES]; 2],
+    inverse_solid_angles: Vec<f32>,
+    hits: Vec<Hit>,
 }
 
 impl CubeRaster {
-    /// An empty raster; `shines` says whether any splat carries light.
+    /// An empty raster; `shines` says whether any piece carries light.
     #[must_use]
     pub fn new(table: &CubeRasterTable, shines: bool) -> Self {
         let (n, stride) = (table.edge(), table.stride());
+        let step = 2.0 / n as f32;
+        let places = |axis: usize| std::array::from_fn(|i| place(i)[axis] * step);
+        let inverse = |sr: f32| if sr > 0.0 { 1.0 / sr } else { 0.0 };
         Self {
             n,
             stride,
             shines,
-            chunks: vec![TexelChunk::default(); 6 * n * stride / LANES],
+            texels: vec![Texel::default(); 6 * n * stride],
+            depths: vec![[0.0; SAMPLES]; 6 * n * stride],
             open: vec![0; 6 * n],
             scale: 0.5 * n as f32,
-            inverse_density: (0..n * n)
-                .map(|i| {
-                    let texel = table.texels[i / n * stride + i % n];
-                    4.0 / ((n * n) as f32 * texel.solid_angle_sr)
-                })
+            places: [places(0), places(1)],
+            inverse_solid_angles: table
+                .texels()
+                .iter()
+                .map(|t| inverse(t.solid_angle_sr))
                 .collect(),
+            hits: Vec::with_capacity(64),
         }
     }
 
-    /// Empties the raster for a receiver with this normal: texels wholly below its horizon are
-    /// opaque from the start.
+    /// Empties the raster for a receiver with this normal: samples below its horizon count as covered from the
+    /// start.
     #[inline(always)]
-    pub fn clear(&mut self, normal: Vec3) {
-        self.chunks.fill(TexelChunk::default());
+    pub fn clear<L: Lanes>(&mut self, normal: Vec3) {
         let step = 1.0 / self.scale;
         for face in CubeFace::ALL {
             let [ua, va] = face.uv_axes();
-            let (nu, nv) = (normal[ua] * step, normal[va] * step);
-            // n·d is linear on a face; its maximum over a texel is half a step toward n.
-            let reach = 0.5 * (nu.abs() + nv.abs());
-            let first = normal[face.axis()] * face.sign() + nu * (0.5 - self.scale) + reach;
+            let (na, nu, nv) = (normal[face.axis()] * face.sign(), normal[ua], normal[va]);
+            // n·D is linear on a face; over a texel it varies by this much around the middle.
+            let reach = 0.5 * step * (nu.abs() + nv.abs());
             for row in 0..self.n {
-                let base = first + nv * (row as f32 + 0.5 - self.scale);
+                let v = (row as f32 + 0.5) * step - 1.0;
+                let row_index = usize::from(face.0) * self.n + row;
                 let mut bits = 0u64;
                 for column in 0..self.n {
-                    bits |= u64::from(base + nu * column as f32 > 0.0) << column;
+                    let u = (column as f32 + 0.5) * step - 1.0;
+                    let middle = na + nu * u + nv * v;
+                    let above = if middle >= reach {
+                        ALL
+                    } else if middle <= -reach {
+                        0
+                    } else {
+                        let [x, y] = self.sample_coordinates::<L>(row, column);
+                        let height = L::splat(na)
+                            .add(L::splat(nu).mul(x))
+                            .add(L::splat(nv).mul(y));
+                        !L::bits(height.le(L::splat(0.0)))
+                    };
+                    bits |= u64::from(above != 0) << column;
+                    self.texels[row_index * self.stride + column] =
+                        Texel { covered: !above, above, ..Texel::default() };
                 }
-                self.open[usize::from(face.0) * self.n + row] = bits;
+                self.open[row_index] = bits;
             }
         }
+    }
+
+    /// Face coordinates of a texel's samples.
+    #[inline(always)]
+    fn sample_coordinates<L: Lanes>(&self, row: usize, column: usize) -> [L; 2] {
+        let step = 1.0 / self.scale;
+        let at = |i: usize, places: &[f32; SAMPLES]| {
+            L::splat(i as f32 * step - 1.0).add(L::load(places))
+        };
+        [at(column, &self.places[0]), at(row, &self.places[1])]
     }
 
     /// First and last texel of a coordinate interval.
     #[inline(always)]
     fn span(&self, low: f32, high: f32) -> (usize, usize) {
         // Coordinates are inside −1..=1, so the casts cannot go below 0.
-        let first = ((low + 1.0) * self.scale) as usize;
-        let last = ((high + 1.0) * self.scale) as usize;
+        let first = ((low + 1.0) * self.scale) as i32 as usize;
+        let last = ((high + 1.0) * self.scale) as i32 as usize;
         (first.min(self.n - 1), last.min(self.n - 1))
     }
 
     /// Whether any texel that the box `low..=high` (relative to the receiver) touches is not yet
-    /// opaque. Conservative: true where in doubt.
+    /// covered. Conservative: true where in doubt.
     #[must_use]
     #[inline(always)]
     pub fn is_box_open(&self, low: Vec3, high: Vec3) -> bool {
@@ -226,134 +182,123 @@ impl CubeRaster {
             return true;
         }
         let (rectangles, count) = project_box(low, high);
-        rectangles[..count].iter().any(|r| self.is_rectangle_open(r))
+        rectangles[..count].iter().any(|r| {
+            let (c0, c1) = self.span(r.u0, r.u1);
+            let (r0, r1) = self.span(r.v0, r.v1);
+            let mask = (u64::MAX >> (63 - (c1 - c0))) << c0;
+            let rows = usize::from(r.face) * self.n;
+            self.open[rows + r0..=rows + r1].iter().any(|&bits| bits & mask != 0)
+        })
     }
 
+    /// Draws a shape that lies in the box `low..=high`, relative to the receiver.
     #[inline(always)]
-    fn is_rectangle_open(&self, r: &FaceRectangle) -> bool {
-        let (c0, c1) = self.span(r.u0, r.u1);
-        let (r0, r1) = self.span(r.v0, r.v1);
-        let mask = (u64::MAX >> (63 - (c1 - c0))) << c0;
-        let rows = usize::from(r.face) * self.n;
-        self.open[rows + r0..=rows + r1].iter().any(|&bits| bits & mask != 0)
-    }
-
-    /// Draws a cluster whose surfaces lie in the box `low..=high` (relative to the receiver, which
-    /// is outside): its opacities spread evenly over the rectangles around the box's silhouette,
-    /// which continue across cube edges and cover texels at their borders in part. The solid angle covered is that of the silhouette times
-    /// the opacity.
-    #[inline(always)]
-    pub fn draw_box(&mut self, low: Vec3, high: Vec3, splat: &Splat) {
-        if !(larger(splat.front, splat.back) > 1e-6) {
-            return;
-        }
-        let (rectangles, count) = project_box(low, high);
-        for r in &rectangles[..count] {
-            let ink = self.mix_ink(r, splat, r.fill);
-            self.fill_rectangle(r, &ink);
-        }
-    }
-
-    /// The ink for a splat in rectangle `r`, its opacities times `fill`.
-    ///
-    /// Shares of texels are shares of face area, so that pieces of a surface add up to whole texels. Inside a texel the solid angle per face area
-    /// falls toward the face's corners as `1/(1 + u² + v²)^(3/2)`: a light smaller than a texel must
-    /// not count for more or less than it is, so its radiance takes up the ratio to the texel's mean.
-    #[inline(always)]
-    pub(crate) fn mix_ink(&self, r: &FaceRectangle, splat: &Splat, fill: f32) -> Ink {
-        let Splat { front, back, solid, mut radiance, near, far } = *splat;
-        if self.shines {
-            let ((c0, c1), (r0, r1)) = self.texel_range(r);
-            if c0 == c1 && r0 == r1 {
-                let (u, v) = (0.5 * (r.u0 + r.u1), 0.5 * (r.v0 + r.v1));
-                let s = 1.0 + u * u + v * v;
-                let ratio = self.inverse_density[r0 * self.n + c0] / (s * s.sqrt());
-                radiance = radiance.map(|c| c * ratio);
+    pub fn draw<L: Lanes, S: Shape>(&mut self, shape: &S, low: Vec3, high: Vec3, ink: &Ink) {
+        self.hits.clear();
+        let mut met = 0;
+        if low.cmple(Vec3::ZERO).all() && high.cmpge(Vec3::ZERO).all() {
+            // The receiver is within the box: any face may see the shape.
+            for face in CubeFace::ALL {
+                let whole =
+                    FaceRectangle { face: face.0, u0: -1.0, u1: 1.0, v0: -1.0, v1: 1.0 };
+                met += self.cover::<L, S>(shape, &whole, ink);
+            }
+        } else {
+            let (rectangles, count) = project_box(low, high);
+            for r in &rectangles[..count] {
+                met += self.cover::<L, S>(shape, r, ink);
             }
         }
-        let whole = if solid { SOLID_WHOLE } else { 1.0 };
-        Ink { front: front * fill, back: back * fill, whole, radiance, near, far }
+        if self.shines {
+            if met == 0 {
+                self.shine_unmet::<L, S>(shape, low + high, ink);
+            } else {
+                self.shine(met, ink);
+            }
+        }
     }
 
+    /// Covers the samples in a rectangle of a face that meet the shape; returns how many do.
     #[inline(always)]
-    fn fill_rectangle(&mut self, r: &FaceRectangle, ink: &Ink) {
-        let texel = |x: f32| (x + 1.0) * self.scale;
-        let (u0, u1, v0, v1) = (texel(r.u0), texel(r.u1), texel(r.v0), texel(r.v1));
+    fn cover<L: Lanes, S: Shape>(&mut self, shape: &S, r: &FaceRectangle, ink: &Ink) -> u32 {
+        let face = CubeFace(r.face);
+        let shape = shape.turned(face);
+        let inverse = shape.inverse();
         let (c0, c1) = self.span(r.u0, r.u1);
         let (r0, r1) = self.span(r.v0, r.v1);
-        let chunks = c0 / LANES..c1 / LANES + 1;
+        let opaque = ink.veil.is_opaque();
+        let nearer = L::splat(1.0 + ink.tolerance);
+        let mut met_total = 0;
         for row in r0..=r1 {
             let row_index = usize::from(r.face) * self.n + row;
-            if self.open[row_index] == 0 {
-                continue;
-            }
-            let covered = larger(smaller(v1, row as f32 + 1.0) - larger(v0, row as f32), 0.0);
-            for chunk in chunks.clone() {
-                let first = (chunk * LANES) as u32 as f32;
-                let mut weights = [0.0; LANES];
-                for (lane, weight) in weights.iter_mut().enumerate() {
-                    let column = first + LANE_NUMBERS[lane];
-                    let part = smaller(u1, column + 1.0) - larger(u0, column);
-                    *weight = larger(part, 0.0) * covered;
+            for column in c0..=c1 {
+                let index = row_index * self.stride + column;
+                let [x, y] = self.sample_coordinates::<L>(row, column);
+                let w = L::splat(inverse.x)
+                    .add(L::splat(inverse.y).mul(x))
+                    .add(L::splat(inverse.z).mul(y));
+                let met = shape.meets([L::splat(1.0), x, y], w);
+                if met == 0 {
+                    continue;
                 }
-                self.add_chunk(row_index, chunk, &weights, ink);
+                met_total += met.count_ones();
+                let (texel, depths) = (&mut self.texels[index], &mut self.depths[index]);
+                let before = texel.covered;
+                let covered = if opaque { met } else { met & ink.veil.samples(index) };
+                let new = covered & !before;
+                if self.shines {
+                    let hidden = before & L::bits(w.mul(nearer).le(L::load(depths)));
+                    let visible = met & texel.above & !hidden;
+                    self.hits.push(Hit { index: index as u32, visible, new });
+                }
+                if new != 0 {
+                    w.store_where(new, depths);
+                    texel.covered = before | new;
+                    self.open[row_index] &= !(u64::from(texel.covered == ALL) << column);
+                }
             }
+        }
+        met_total
+    }
+
+    /// Adds the light of a piece that met `met` samples to their texels.
+    #[inline(always)]
+    fn shine(&mut self, met: u32, ink: &Ink) {
+        let small = ink.solid_angle < SMALL_SR;
+        let per_sample = ink.solid_angle / met as f32;
+        for hit in &self.hits {
+            let texel = &mut self.texels[hit.index as usize];
+            let above = texel.above.count_ones() as f32;
+            let share = if small {
+                let inverse = self.inverse_solid_angles[hit.index as usize];
+                hit.visible.count_ones() as f32 * per_sample * inverse * (SAMPLES as f32)
+            } else {
+                hit.new.count_ones() as f32
+            } / larger_than_zero(above);
+            texel.add(share, &ink.radiance);
         }
     }
 
-    /// Adds ink to eight texels of a row, by the share of each texel in `weights`.
+    /// Adds the light of a piece that met no sample to the texel at its middle.
     #[inline(always)]
-    pub(crate) fn add_chunk(
-        &mut self,
-        row_index: usize,
-        chunk: usize,
-        weights: &[f32; LANES],
-        ink: &Ink,
-    ) {
-        let texels = &mut self.chunks[row_index * (self.stride / LANES) + chunk];
-        // Worked on in local arrays and written back whole, so that lanes become registers.
-        let before = texels.covered;
-        let (mut passed, mut layer) = (texels.passed, texels.layer);
-        let (mut far, mut unmatched) = (texels.layer_far, texels.unmatched);
-        let (mut total, mut shown) = ([0.0f32; LANES], [0.0f32; LANES]);
-        let extends_always = ink.whole < 1.0;
-        for lane in 0..LANES {
-            let weight = weights[lane];
-            let inked = weight > 0.0;
-            let behind = inked & (ink.near > far[lane]);
-            passed[lane] = if behind { before[lane] } else { passed[lane] };
-            let old_layer = if behind { 0.0 } else { layer[lane] };
-            let old_far = if behind { 0.0 } else { far[lane] };
-            let front = ink.front * weight;
-            let surplus = ink.back * weight - (unmatched[lane] + front);
-            unmatched[lane] = larger(-surplus, 0.0);
-            let added = front + larger(surplus, 0.0);
-            let new_layer = old_layer + added;
-            let whole = inked & (new_layer >= ink.whole);
-            layer[lane] = if whole { 1.0 } else { new_layer };
-            // Sheets start layers but do not extend them: a crown of leaves is not one surface.
-            let extends = inked & (extends_always | behind);
-            far[lane] = if extends { larger(old_far, ink.far) } else { old_far };
-            total[lane] = 1.0 - (1.0 - passed[lane]) * (1.0 - layer[lane]);
-            shown[lane] = larger(total[lane] - before[lane], 0.0) * (front / larger(added, 1e-30));
+    fn shine_unmet<L: Lanes, S: Shape>(&mut self, shape: &S, toward: Vec3, ink: &Ink) {
+        if toward == Vec3::ZERO {
+            return;
         }
-        texels.covered = total;
-        texels.passed = passed;
-        texels.layer = layer;
-        texels.layer_far = far;
-        texels.unmatched = unmatched;
-        if self.shines {
-            for (plane, light) in texels.radiance.iter_mut().zip(ink.radiance) {
-                for lane in 0..LANES {
-                    plane[lane] += light * shown[lane];
-                }
-            }
-        }
-        let mut opaque = 0u64;
-        for (lane, total) in total.iter().enumerate() {
-            opaque |= u64::from(*total >= OPAQUE) << lane;
-        }
-        self.open[row_index] &= !(opaque << (chunk * LANES));
+        let (face, u, v) = CubeFace::from_direction(toward);
+        let ((column, _), (row, _)) = (self.span(u, u), self.span(v, v));
+        let index = (usize::from(face.0) * self.n + row) * self.stride + column;
+        let [x, y] = self.sample_coordinates::<L>(row, column);
+        let inverse = shape.turned(face).inverse();
+        let w = L::splat(inverse.x)
+            .add(L::splat(inverse.y).mul(x))
+            .add(L::splat(inverse.z).mul(y));
+        let texel = &mut self.texels[index];
+        let nearer = w.mul(L::splat(1.0 + ink.tolerance)).le(L::load(&self.depths[index]));
+        let visible = texel.above & !(texel.covered & L::bits(nearer));
+        let above = texel.above.count_ones() as f32;
+        let open = visible.count_ones() as f32 / larger_than_zero(above);
+        texel.add(open * ink.solid_angle * self.inverse_solid_angles[index], &ink.radiance);
     }
 
     /// Texels along a face.
@@ -370,32 +315,34 @@ impl CubeRaster {
         self.stride
     }
 
-    #[inline(always)]
-    pub(crate) fn row_is_closed(&self, row_index: usize) -> bool {
-        self.open[row_index] == 0
-    }
-
-    /// First and last row and column of a rectangle.
-    #[inline(always)]
-    pub(crate) fn texel_range(&self, r: &FaceRectangle) -> ((usize, usize), (usize, usize)) {
-        (self.span(r.u0, r.u1), self.span(r.v0, r.v1))
-    }
-
-    /// Share of texel `index` (in memory) that no surface covers.
+    /// Share of texel `index` (in memory), above the horizon, that no surface covers.
     #[must_use]
     #[inline(always)]
     pub fn openness(&self, index: usize) -> f32 {
-        1.0 - self.chunks[index / LANES].covered[index % LANES]
+        let texel = &self.texels[index];
+        let open = (!texel.covered).count_ones() as f32;
+        open / larger_than_zero(texel.above.count_ones() as f32)
     }
 
     /// Texels `8 index ..` in memory.
     #[must_use]
     #[inline(always)]
-    pub fn chunk(&self, index: usize) -> &TexelChunk {
-        &self.chunks[index]
+    pub fn chunk(&self, index: usize) -> TexelChunk {
+        let mut chunk = TexelChunk::default();
+        for lane in 0..LANES {
+            let texel = &self.texels[index * LANES + lane];
+            chunk.covered[lane] = 1.0 - self.openness(index * LANES + lane);
+            let missing = if texel.covered == ALL { 1.0 - texel.weight } else { 0.0 };
+            for (plane, (sum, last)) in
+                chunk.radiance.iter_mut().zip(texel.radiance.iter().zip(texel.last))
+            {
+                plane[lane] = crate::larger(sum + missing * last, 0.0);
+            }
+        }
+        chunk
     }
 
-    /// Whether any splat may carry light.
+    /// Whether any piece may carry light.
     #[must_use]
     #[inline(always)]
     pub fn shines(&self) -> bool {
@@ -403,145 +350,260 @@ impl CubeRaster {
     }
 }
 
+impl Texel {
+    #[inline(always)]
+    fn add(&mut self, share: f32, radiance: &[f32; 3]) {
+        for (sum, light) in self.radiance.iter_mut().zip(radiance) {
+            *sum += share * light;
+        }
+        self.weight += share;
+        self.last = *radiance;
+    }
+}
+
+/// A count to divide by.
+#[inline(always)]
+fn larger_than_zero(count: f32) -> f32 {
+    crate::larger(count, 1.0)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lanes::Plain;
+    use crate::{Disk, Section, SimdLevel, WideKernel, run_wide};
+    use pbgi_math::Aabb;
     use std::f32::consts::PI;
 
-    fn covered(raster: &CubeRaster, table: &CubeRasterTable) -> f32 {
-        let texels = table.texels().iter().enumerate();
-        texels.map(|(i, t)| (1.0 - raster.openness(i)) * t.solid_angle_sr).sum()
+    fn ink(solid_angle: f32, light: f32) -> Ink {
+        Ink { veil: Veil::OPAQUE, solid_angle, radiance: [light; 3], tolerance: 0.01 }
     }
 
-    /// Solid angle of the silhouette of a small box at distance 5 by its projected area.
-    fn silhouette(center: Vec3, half: Vec3) -> f32 {
-        let d = center.normalize().abs();
-        4.0 * (d.x * half.y * half.z + d.y * half.x * half.z + d.z * half.x * half.y)
-            / center.length_squared()
+    /// Draws the part of the plane through `point` with `normal` in a box.
+    fn draw_section(raster: &mut CubeRaster, (low, high): (Vec3, Vec3), normal: Vec3, ink: &Ink) {
+        let point = (low + high) * 0.5;
+        let section = Section { inverse: normal / normal.dot(point), low, high };
+        raster.draw::<Plain, _>(&section, low, high, ink);
+    }
+
+    fn irradiance(raster: &CubeRaster, table: &CubeRasterTable, normal: Vec3) -> f32 {
+        let texels = table.texels().iter().enumerate();
+        texels
+            .map(|(i, t)| {
+                raster.chunk(i / LANES).radiance[0][i % LANES] * normal.dot(t.vector).max(0.0)
+            })
+            .sum()
+    }
+
+    /// Irradiance of a disk of radiance 1; its solid angle by counting samples.
+    fn disk_irradiance(n: usize, center: Vec3, normal: Vec3, receiver_normal: Vec3) -> f32 {
+        let table = CubeRasterTable::new(n);
+        let mut raster = CubeRaster::new(&table, true);
+        raster.clear::<Plain>(receiver_normal);
+        let inverse = normal / normal.dot(center);
+        let disk = Disk { inverse, center, radius: 1.0, distance_min: 0.0 };
+        let aabb = Aabb::from_disk(center, normal, 1.0);
+        raster.draw::<Plain, _>(&disk, aabb.min, aabb.max, &ink(1.0, 1.0));
+        irradiance(&raster, &table, receiver_normal)
     }
 
     #[test]
-    fn footprints_carry_their_solid_angle_everywhere() {
+    fn a_parallel_disk_has_the_analytic_form_factor() {
+        for (distance, n, tolerance) in
+            [(0.25, 8, 0.01), (0.5, 8, 0.01), (1.0, 8, 0.02), (3.0, 16, 0.03)]
+        {
+            // E = π L r² / (r² + d²) for a parallel disk on the axis.
+            let exact = PI / (1.0 + distance * distance);
+            let found = disk_irradiance(n, Vec3::Y * distance, Vec3::NEG_Y, Vec3::Y);
+            assert!((found / exact - 1.0).abs() < tolerance, "{distance}: {found} {exact}");
+        }
+    }
+
+    #[test]
+    fn a_perpendicular_disk_matches_quadrature() {
+        // A disk standing beside the receiver, half of it below the horizon.
+        let mut exact = 0f64;
+        let steps = 400;
+        for i in 0..steps {
+            for j in 0..steps {
+                let (y, z) = (
+                    -1.0 + 2.0 * (i as f32 + 0.5) / steps as f32,
+                    -1.0 + 2.0 * (j as f32 + 0.5) / steps as f32,
+                );
+                if y > 0.0 && y * y + z * z <= 1.0 {
+                    let p = Vec3::new(1.3, y, z);
+                    let d2 = p.length_squared();
+                    exact += f64::from(y * 1.3 / (d2 * d2)) * 4.0 / f64::from(steps * steps);
+                }
+            }
+        }
+        let found = f64::from(disk_irradiance(8, Vec3::X * 1.3, Vec3::NEG_X, Vec3::Y));
+        assert!((found / exact - 1.0).abs() < 0.03, "{found} {exact}");
+    }
+
+    #[test]
+    fn small_pieces_carry_their_solid_angle_wherever_they_fall() {
         let table = CubeRasterTable::new(8);
-        let mut raster = CubeRaster::new(&table, false);
-        for scale in [0.2, 1.0] {
-            let (mut squares, mut sum) = (0f32, 0.0);
+        let mut raster = CubeRaster::new(&table, true);
+        // Tiny ones exactly; where one covers a texel wholly, its share of it is rounded to 1.
+        for (radius, tolerance) in [(0.02f32, 1e-3), (0.1, 1e-3), (0.4, 0.1)] {
             for i in 0..400u32 {
                 let z = -1.0 + 2.0 * (i as f32 + 0.5) / 400.0;
                 let phi = i as f32 * 2.399_963;
                 let r = (1.0 - z * z).sqrt();
-                let center = Vec3::new(r * phi.cos(), r * phi.sin(), z) * 5.0;
-                let half = Vec3::new(0.2, 0.5, 0.4) * scale;
-                // Every texel near the center's direction is open.
-                raster.clear(center.normalize());
-                let splat = Splat { front: 0.5, ..Splat::default() };
-                raster.draw_box(center - half, center + half, &splat);
-                let error = covered(&raster, &table) / (0.5 * silhouette(center, half)) - 1.0;
-                squares += error * error / 400.0;
-                sum += error / 400.0;
+                let d = Vec3::new(r * phi.cos(), r * phi.sin(), z);
+                raster.clear::<Plain>(d);
+                let (center, solid_angle) = (d * 5.0, PI * radius * radius / 25.0);
+                let disk = Disk { inverse: d / 5.0, center, radius, distance_min: 0.0 };
+                let aabb = Aabb::from_disk(center, d, radius);
+                raster.draw::<Plain, _>(&disk, aabb.min, aabb.max, &ink(solid_angle, 1.0));
+                let texels = table.texels().iter().enumerate();
+                let found: f32 = texels
+                    .map(|(i, t)| raster.chunk(i / LANES).radiance[0][i % LANES] * t.solid_angle_sr)
+                    .sum();
+                let error = found / solid_angle - 1.0;
+                assert!(error.abs() < tolerance, "{i} {radius}: {error}");
             }
-            // Shares of face area stand for shares of solid angle: up to a fifth off within a corner
-            // texel, both ways.
-            let rms = squares.sqrt();
-            assert!(rms < 0.12 && sum.abs() < 0.02, "{scale}: {rms} {sum}");
         }
     }
 
     #[test]
-    fn a_ring_of_walls_covers_all_directions_without_seams() {
+    fn tiles_of_a_closed_box_leave_no_sample_open() {
         let table = CubeRasterTable::new(8);
         let mut raster = CubeRaster::new(&table, true);
-        raster.clear(Vec3::Y);
-        // Six slabs of a closed box, in pieces that continue across the cube's edges.
-        let splat = Splat { front: 1.0, radiance: [2.0; 3], far: 4.0, ..Splat::default() };
+        raster.clear::<Plain>(Vec3::Y);
+        let (cells, mut sum) = (12, 0.0);
         for axis in 0..3 {
             for side in [-1.0f32, 1.0] {
-                for i in -3..3 {
-                    for j in -3..3 {
-                        let mut low = Vec3::ZERO;
-                        low[axis] = side;
-                        low[(axis + 1) % 3] = i as f32 / 3.0;
-                        low[(axis + 2) % 3] = j as f32 / 3.0;
-                        let mut high = low;
-                        high[(axis + 1) % 3] += 1.0 / 3.0;
-                        high[(axis + 2) % 3] += 1.0 / 3.0;
-                        raster.draw_box(low * 2.0, high * 2.0, &splat);
-                    }
+                for i in 0..cells * cells {
+                    let at = |i: i32| -1.0 + 2.0 * i as f32 / cells as f32;
+                    let mut low = Vec3::ZERO;
+                    low[axis] = side;
+                    low[(axis + 1) % 3] = at(i % cells);
+                    low[(axis + 2) % 3] = at(i / cells);
+                    let mut high = low;
+                    high[(axis + 1) % 3] += 2.0 / cells as f32;
+                    high[(axis + 2) % 3] += 2.0 / cells as f32;
+                    let normal = Vec3::AXES[axis] * side;
+                    let center = (low + high) * 0.5;
+                    let d2 = center.length_squared();
+                    let solid_angle = 4.0 / (cells * cells) as f32 / (d2 * d2.sqrt());
+                    let margin = 1e-4;
+                    let bounds = (low - margin, high + margin);
+                    draw_section(&mut raster, bounds, normal, &ink(solid_angle, 2.0));
+                    sum += solid_angle;
                 }
             }
         }
-        let mut irradiance = 0.0;
+        assert!((sum / (4.0 * PI) - 1.0).abs() < 0.01);
         for (i, texel) in table.texels().iter().enumerate() {
-            if texel.solid_angle_sr > 0.0 && texel.direction.y > 0.0 {
-                assert!(raster.openness(i) < 1e-4, "texel {i} is open");
-                irradiance += raster.chunk(i / LANES).radiance[0][i % LANES] * texel.vector.y;
+            if texel.direction.y > 0.0 {
+                assert!(raster.openness(i) == 0.0, "texel {i} is open");
             }
         }
-        // E = πL; the texels at the horizon are all whole here.
-        assert!((irradiance / (2.0 * PI) - 1.0).abs() < 1e-3, "{irradiance}");
+        let found = irradiance(&raster, &table, Vec3::Y);
+        assert!((found / (2.0 * PI) - 1.0).abs() < 2e-3, "{found}");
         assert!(!raster.is_box_open(Vec3::splat(3.0), Vec3::splat(3.5)));
     }
 
     #[test]
-    fn nearer_splats_hide_farther_ones() {
+    fn nearer_pieces_hide_farther_ones_but_not_their_neighbors() {
         let table = CubeRasterTable::new(8);
         let mut raster = CubeRaster::new(&table, true);
-        raster.clear(Vec3::Y);
-        let (low, high) = (Vec3::new(-0.6, 1.0, -0.6), Vec3::new(0.6, 1.0, 0.6));
-        let half =
-            Splat { front: 0.5, radiance: [1.0; 3], near: 0.9, far: 1.3, ..Splat::default() };
-        let full = |near: f32| Splat {
-            front: 1.0,
-            radiance: [3.0; 3],
-            near,
-            far: near + 0.5,
-            ..Splat::default()
-        };
-        raster.draw_box(low, high, &half);
-        raster.draw_box(low * 2.0, high * 2.0, &full(1.9));
-        raster.draw_box(low * 3.0, high * 3.0, &full(2.9));
+        let (low, high) = (Vec3::new(-0.6, 0.99, -0.6), Vec3::new(0.6, 1.01, 0.6));
         let up = table.texel_index(Vec3::new(0.05, 1.0, 0.05));
-        assert!(raster.openness(up) < 1e-6);
-        assert!(
-            (raster.chunk(up / LANES).radiance[0][up % LANES] - (0.5 + 0.5 * 3.0)).abs() < 1e-4
-        );
-    }
-
-    #[test]
-    fn coverage_adds_within_a_layer_and_multiplies_across_layers() {
-        let table = CubeRasterTable::new(8);
-        let up = table.texel_index(Vec3::new(0.05, 1.0, 0.05));
-        for (second_near, expected) in [(1.2, 0.0), (1.4, 0.25)] {
-            let mut raster = CubeRaster::new(&table, false);
-            raster.clear(Vec3::Y);
-            let (low, high) = (Vec3::new(-0.6, 1.0, -0.6), Vec3::new(0.6, 1.0, 0.6));
-            let splat = Splat { front: 0.5, near: 0.9, far: 1.3, ..Splat::default() };
-            raster.draw_box(low, high, &splat);
-            raster.draw_box(low, high, &Splat { near: second_near, far: 1.6, ..splat });
-            assert!((raster.openness(up) - expected).abs() < 1e-5, "{}", raster.openness(up));
+        // Of the second, at the first's depth or far behind it, all or nothing is seen.
+        for (scale, expected) in [(1.0, 0.7), (2.0, 0.2)] {
+            raster.clear::<Plain>(Vec3::Y);
+            let whole = table.texels()[up].solid_angle_sr;
+            draw_section(&mut raster, (low, high), Vec3::Y, &ink(1.0, 0.0));
+            let light = raster.chunk(up / LANES).radiance[0][up % LANES];
+            assert_eq!(light, 0.0);
+            let small = Vec3::new(0.05, 1.0, 0.05) * scale;
+            let piece = (small - 0.01, small + 0.01);
+            // Tiny: met by no sample or one.
+            draw_section(&mut raster, piece, Vec3::Y, &ink(0.5 * whole, 1.4));
+            draw_section(&mut raster, (low * 3.0, high * 3.0), Vec3::Y, &ink(2.0, 9.0));
+            let texel = &raster.texels[up];
+            let found = texel.radiance[0];
+            let expected = if scale == 1.0 { expected } else { 0.0 };
+            assert!((found - expected).abs() < 1e-4, "{scale}: {found}");
         }
     }
 
     #[test]
-    fn backs_of_closed_objects_do_not_block_twice() {
+    fn shares_of_a_covered_texel_sum_to_one() {
         let table = CubeRasterTable::new(8);
-        let mut raster = CubeRaster::new(&table, false);
-        raster.clear(Vec3::Y);
-        let (low, high) = (Vec3::new(-0.1, 5.0, -0.1), Vec3::new(0.1, 5.2, 0.1));
-        raster.draw_box(low, high, &Splat { front: 0.7, ..Splat::default() });
-        let front = covered(&raster, &table);
-        raster.draw_box(low, high, &Splat { back: 0.7, ..Splat::default() });
-        assert!((covered(&raster, &table) / front - 1.0).abs() < 1e-3);
-        raster.draw_box(low, high, &Splat { back: 0.7, ..Splat::default() });
-        assert!((covered(&raster, &table) / front - 2.0).abs() < 1e-3);
+        let mut raster = CubeRaster::new(&table, true);
+        raster.clear::<Plain>(Vec3::Y);
+        let up = table.texel_index(Vec3::new(0.05, 1.0, 0.05));
+        let whole = table.texels()[up].solid_angle_sr;
+        let (low, high) = (Vec3::new(0.0, 1.0, 0.0), Vec3::new(0.25, 1.0, 0.25));
+        for share in [0.5, 0.2] {
+            let bounds = (low - 1e-3, high + 1e-3);
+            draw_section(&mut raster, bounds, Vec3::Y, &ink(share * whole, 3.0));
+        }
+        let light = raster.chunk(up / LANES).radiance[0][up % LANES];
+        assert!((light - 3.0).abs() < 1e-3, "{light}");
     }
 
     #[test]
-    fn texels_below_the_horizon_start_opaque() {
+    fn samples_below_the_horizon_do_not_count() {
         let table = CubeRasterTable::new(8);
         let mut raster = CubeRaster::new(&table, false);
-        raster.clear(Vec3::new(0.3, 0.8, -0.2).normalize());
+        let normal = Vec3::new(0.3, 0.8, -0.2).normalize();
+        raster.clear::<Plain>(normal);
         assert!(!raster.is_box_open(Vec3::new(-0.1, -3.0, -0.1), Vec3::new(0.1, -2.0, 0.1)));
         assert!(raster.is_box_open(Vec3::new(-0.1, 2.0, -0.1), Vec3::new(0.1, 3.0, 0.1)));
+        for (i, texel) in table.texels().iter().enumerate() {
+            let above = f32::from(texel.direction.dot(normal) > 0.2);
+            let below = f32::from(texel.direction.dot(normal) < -0.2);
+            let open = raster.openness(i);
+            assert!(open >= above && open <= 1.0 - below && (open == 0.0 || open == 1.0));
+        }
+    }
+
+    /// Draws pieces of all kinds and gives every number of the raster.
+    struct Everything;
+
+    impl WideKernel for Everything {
+        type Output = Vec<u32>;
+
+        #[inline(always)]
+        fn run<L: Lanes>(self) -> Vec<u32> {
+            let table = CubeRasterTable::new(8);
+            let mut raster = CubeRaster::new(&table, true);
+            raster.clear::<L>(Vec3::new(0.1, 0.9, 0.3).normalize());
+            for i in 0..500u32 {
+                let f = |k: u32| (i.wrapping_mul(k) >> 7) as f32 % 1009.0 / 504.0 - 1.0;
+                let d = Vec3::new(f(2_654_435_761), f(40_503_227), f(1_442_695_041)).normalize();
+                let n = Vec3::new(f(97_531), f(1_357_911), f(86_028_121)).normalize();
+                let (center, radius) = (d * (1.0 + 0.01 * i as f32), 0.3);
+                let inverse = n / n.dot(center);
+                let veil = Veil { start: 0.0, end: 0.6, seed: i };
+                let ink = Ink { veil, ..ink(0.03, i as f32) };
+                let aabb = Aabb::from_disk(center, n, radius);
+                if i % 2 == 0 {
+                    let disk = Disk { inverse, center, radius, distance_min: 0.5 };
+                    raster.draw::<L, _>(&disk, aabb.min, aabb.max, &ink);
+                } else {
+                    let section = Section { inverse, low: aabb.min, high: aabb.max };
+                    raster.draw::<L, _>(&section, aabb.min, aabb.max, &ink);
+                }
+            }
+            let chunks = (0..48).map(|i| raster.chunk(i));
+            chunks
+                .flat_map(|c| c.covered.into_iter().chain(c.radiance.into_iter().flatten()))
+                .map(f32::to_bits)
+                .collect()
+        }
+    }
+
+    #[test]
+    fn every_level_gives_the_same_bits() {
+        let expected = run_wide(SimdLevel::Baseline, Everything);
+        for level in SimdLevel::available() {
+            assert_eq!(run_wide(level, Everything), expected, "{level:?}");
+        }
     }
 }

@@ -17,16 +17,10 @@ pub struct FaceRectangle {
     pub v0: f32,
     /// Largest v.
     pub v1: f32,
-    /// Share of the rectangle that the silhouette fills, before clipping to the face.
-    pub fill: f32,
 }
 
 /// Rectangle around the projection of the box `low..=high` (relative to the cube's center) on
 /// `face`, or none where the box does not reach into that face's pyramid.
-///
-/// The silhouette is the convex hull of two rectangles, the box's sides at its nearest and its farthest depth.
-/// It fills their common bounding rectangle but for a triangle at each corner where one sticks out
-/// along u and the other along v.
 #[inline(always)]
 fn project_on_face(low: Vec3, high: Vec3, face: CubeFace) -> Option<FaceRectangle> {
     let axis = face.axis();
@@ -47,17 +41,9 @@ fn project_on_face(low: Vec3, high: Vec3, face: CubeFace) -> Option<FaceRectangl
     let (fv0, fv1) = (low[va] * inverse_far, high[va] * inverse_far);
     let (u0, u1) = (smaller(nu0, fu0), larger(nu1, fu1));
     let (v0, v1) = (smaller(nv0, fv0), larger(nv1, fv1));
-    let corner = |du: f32, dv: f32| larger(0.0, -du * dv);
-    let cut = 0.5
-        * (corner(nu1 - fu1, nv1 - fv1)
-            + corner(fu0 - nu0, nv1 - fv1)
-            + corner(nu1 - fu1, fv0 - nv0)
-            + corner(fu0 - nu0, fv0 - nv0));
-    let area = (u1 - u0) * (v1 - v0);
-    let fill = if area > 0.0 { 1.0 - cut / area } else { 1.0 };
     let (u0, u1) = (larger(u0, -1.0), smaller(u1, 1.0));
     let (v0, v1) = (larger(v0, -1.0), smaller(v1, 1.0));
-    (u0 <= u1 && v0 <= v1).then_some(FaceRectangle { face: face.0, u0, u1, v0, v1, fill })
+    (u0 <= u1 && v0 <= v1).then_some(FaceRectangle { face: face.0, u0, u1, v0, v1 })
 }
 
 /// Rectangles of the box `low..=high` on all faces it reaches, and their number. The box is given relative to the
@@ -128,39 +114,11 @@ mod tests {
     }
 
     #[test]
-    fn flat_boxes_facing_the_center_fill_their_rectangles() {
+    fn flat_boxes_facing_the_center_are_their_rectangles() {
         let (low, high) = (Vec3::new(-0.5, -0.5, -2.0), Vec3::new(0.5, 0.5, -2.0));
         let (rectangles, count) = project_box(low, high);
         assert_eq!(count, 1);
         let r = rectangles[0];
-        assert_eq!((r.u0, r.u1, r.v0, r.v1, r.fill), (-0.25, 0.25, -0.25, 0.25, 1.0));
-    }
-
-    #[test]
-    fn fill_is_the_share_of_the_silhouette() {
-        // A piece of floor and a block, on the side face they fall on; silhouettes by rays.
-        for (low, high) in [
-            (Vec3::new(2.0, -1.0, -0.3), Vec3::new(3.0, -1.0, 1.2)),
-            (Vec3::new(2.0, 0.3, 0.4), Vec3::new(2.6, 0.9, 1.2)),
-            (Vec3::new(2.0, -0.4, 0.4), Vec3::new(2.6, 0.9, 1.2)),
-        ] {
-            let (rectangles, count) = project_box(low, high);
-            assert_eq!(count, 1);
-            let r = rectangles[0];
-            let (mut hits, steps) = (0, 400);
-            for i in 0..steps * steps {
-                let f = |k: i32| (k as f32 + 0.5) / steps as f32;
-                let (u, v) =
-                    (r.u0 + (r.u1 - r.u0) * f(i % steps), r.v0 + (r.v1 - r.v0) * f(i / steps));
-                let d = CubeFace(r.face).direction(u, v);
-                // Slab test.
-                let (a, b) = (low / d, high / d);
-                let enter = a.min(b).max_element();
-                let leave = a.max(b).min_element();
-                hits += i32::from(enter <= leave + 1e-6);
-            }
-            let share = hits as f32 / (steps * steps) as f32;
-            assert!((share - r.fill).abs() < 0.01, "{low}: {share} {}", r.fill);
-        }
+        assert_eq!((r.u0, r.u1, r.v0, r.v1), (-0.25, 0.25, -0.25, 0.25));
     }
 }

@@ -4,15 +4,21 @@
 #![deny(unsafe_code)]
 
 mod cube;
-mod disk;
 mod footprint;
+mod lanes;
+mod samples;
+mod shape;
 mod simd;
+mod table;
 mod window;
 
-pub use cube::{CubeRaster, CubeRasterTable, LANES, Splat, TexelChunk};
-pub use disk::{Disk, DiskInk};
+pub use cube::{CubeRaster, Ink, TexelChunk};
 pub use footprint::{FaceRectangle, project_box};
-pub use simd::{SimdLevel, run_wide};
+pub use lanes::{Lanes, SAMPLES};
+pub use samples::Veil;
+pub use shape::{Disk, Section, Shape};
+pub use simd::{SimdLevel, WideKernel, run_wide};
+pub use table::{CubeRasterTable, LANES};
 pub use window::{Window, WindowRaster};
 
 /// The larger of two numbers; one instruction where `f32::max` takes three, for inputs that are never NaN.

@@ -4,16 +4,18 @@ use crate::light::{PreparedLight, PreparedPeak};
 use crate::receiver::{Receiver, Shading};
 use pbgi_brdf::{ConvolutionTable, convolve_diffuse};
 use pbgi_cut::{
-    Cluster, CutReceiver, CutScratch, CutStats, CutVisitor, SurfelSeen, Threshold,
+    Cluster, CutReceiver, CutScratch, CutStats, CutVisitor, Piece, SurfelSeen,
     UniformThreshold, pick_cut,
 };
 use pbgi_format::LeafSurfel;
-use pbgi_math::{Aabb, Vec3, box_silhouette};
+use pbgi_math::{Aabb, Vec3};
 use pbgi_raster::{
-    CubeRaster, CubeRasterTable, Disk, DiskInk, SimdLevel, Splat, Window, WindowRaster, run_wide,
+    CubeRaster, CubeRasterTable, Disk, Ink, Lanes, Section, SimdLevel, Veil, WideKernel, Window,
+    WindowRaster, run_wide,
 };
 use pbgi_store::{Reader, StoreError};
-use std::f32::consts::{FRAC_1_PI, PI};
+use std::f32::consts::FRAC_1_PI;
+use std::marker::PhantomData;
 
 /// Quality of a gather.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,8 +24,6 @@ pub struct GatherSettings {
     pub solid_angle_sr: f32,
     /// Texels along a face of the cube raster, 1 to 64.
     pub raster_edge: usize,
-    /// Surfels nearer than this many of their radii are intersected texel by texel.
-    pub near_radii: f32,
     /// Surfels that rise less than this share of their radius above the receiver's tangent plane
     /// are its own surface.
     pub bias: f32,
@@ -38,7 +38,6 @@ impl Default for GatherSettings {
         Self {
             solid_angle_sr: 0.03,
             raster_edge: 8,
-            near_radii: 5.0,
             bias: 0.4,
             up: Vec3::Y,
             simd: SimdLevel::detect(),
@@ -105,15 +104,11 @@ impl<'a> Gatherer<'a> {
     ///
     /// If a page cannot be read or contradicts itself.
     pub fn gather(&mut self, receiver: &Receiver) -> Result<Shading, StoreError> {
-        run_wide(
-            self.settings.simd,
-            #[inline(always)]
-            || self.gather_kernel(receiver),
-        )
+        run_wide(self.settings.simd, GatherKernel { gatherer: self, receiver })
     }
 
     #[inline(always)]
-    fn gather_kernel(&mut self, receiver: &Receiver) -> Result<Shading, StoreError> {
+    fn gather_kernel<L: Lanes>(&mut self, receiver: &Receiver) -> Result<Shading, StoreError> {
         let before = self.stats.cut_size();
         let cut_receiver = CutReceiver {
             position: receiver.position,
@@ -121,11 +116,11 @@ impl<'a> Gatherer<'a> {
             bias: 0.0,
             surfel_bias: self.settings.bias,
         };
-        self.raster.clear(receiver.normal);
-        let mut visitor = CubeVisitor {
+        self.raster.clear::<L>(receiver.normal);
+        let mut visitor = CubeVisitor::<L> {
             raster: &mut self.raster,
             normal: receiver.normal,
-            near2: self.settings.near_radii * self.settings.near_radii,
+            lanes: PhantomData,
         };
         pick_cut(
             &mut self.reader,
@@ -140,7 +135,7 @@ impl<'a> Gatherer<'a> {
             convolve_diffuse(&self.raster, &self.table, base, receiver.normal, self.settings.up);
         let mut environment_irradiance = diffuse.environment_irradiance;
         for peak in self.light.map_or(&[][..], |l| &l.peaks) {
-            let irradiance = self.gather_peak(peak, &cut_receiver)?;
+            let irradiance = self.gather_peak::<L>(peak, &cut_receiver)?;
             for (sum, part) in environment_irradiance.iter_mut().zip(irradiance) {
                 *sum += part;
             }
@@ -157,23 +152,23 @@ impl<'a> Gatherer<'a> {
 
     /// Irradiance from one peak: a narrow walk that draws what blocks its window.
     #[inline(always)]
-    fn gather_peak(
+    fn gather_peak<L: Lanes>(
         &mut self,
         peak: &PreparedPeak,
         receiver: &CutReceiver,
     ) -> Result<[f32; 3], StoreError> {
-        let axis = peak.window.frame.normal;
+        let axis = peak.window.frame().normal;
         if axis.dot(receiver.normal) <= -peak.sin_half_angle {
             return Ok([0.0; 3]);
         }
         self.window_raster.clear(&peak.window);
-        let texel = 2.0 * peak.window.half_width / peak.window.n as f32;
-        let threshold = WindowThreshold { sin2_max: (0.5 * WINDOW_TEXEL_SHARE * texel).powi(2) };
-        let mut visitor = WindowVisitor {
+        let sine = 0.5 * WINDOW_TEXEL_SHARE * peak.texel_width;
+        let threshold = UniformThreshold::from_sine(sine);
+        let mut visitor = WindowVisitor::<L> {
             raster: &mut self.window_raster,
             window: &peak.window,
             normal: receiver.normal,
-            texel2: texel * texel,
+            lanes: PhantomData,
         };
         pick_cut(
             &mut self.reader,
@@ -183,10 +178,9 @@ impl<'a> Gatherer<'a> {
             &mut self.scratch,
             &mut self.stats,
         )?;
-        let n = peak.window.n;
         let mut irradiance = [0.0; 3];
-        for (i, (direction, light)) in peak.texels.iter().enumerate() {
-            let open = self.window_raster.openness(i / n, i % n);
+        for (index, (direction, light)) in peak.texels.iter().enumerate() {
+            let open = if self.window_raster.is_open(index) { 1.0 } else { 0.0 };
             let weight = open * direction.dot(receiver.normal).max(0.0);
             for (sum, l) in irradiance.iter_mut().zip(light) {
                 *sum += weight * l;
@@ -196,16 +190,18 @@ impl<'a> Gatherer<'a> {
     }
 }
 
-/// Nodes as fine as a window's texels, whatever their direction: only what meets the window is
-/// visited.
-struct WindowThreshold {
-    sin2_max: f32,
+/// A gather, compiled for every SIMD level.
+struct GatherKernel<'k, 'a> {
+    gatherer: &'k mut Gatherer<'a>,
+    receiver: &'k Receiver,
 }
 
-impl Threshold for WindowThreshold {
+impl WideKernel for GatherKernel<'_, '_> {
+    type Output = Result<Shading, StoreError>;
+
     #[inline(always)]
-    fn sin2_max(&self, _: Vec3, _: f32, _: f32) -> f32 {
-        self.sin2_max
+    fn run<L: Lanes>(self) -> Self::Output {
+        self.gatherer.gather_kernel::<L>(self.receiver)
     }
 }
 
@@ -216,73 +212,68 @@ fn least_distance(surfel: &LeafSurfel, normal: Vec3) -> f32 {
     if own { OWN_SURFACE_RADII * surfel.radius } else { 0.0 }
 }
 
-/// A surfel as the cluster it is by itself: box of its area-true square, exact projected area.
-#[inline(always)]
-fn surfel_cluster(seen: &SurfelSeen) -> Cluster {
-    let surfel = &seen.surfel;
-    let distance = seen.distance2.sqrt();
-    let shown_area = if surfel.isotropic { 0.5 * surfel.area } else { surfel.area };
-    let half_edge = 0.5 * shown_area.sqrt();
-    let toward_receiver = surfel.center * (-1.0 / distance);
-    let (half, shown) = if surfel.isotropic {
-        (Vec3::splat(half_edge), shown_area)
-    } else {
-        let half = Aabb::from_disk(Vec3::ZERO, surfel.normal, half_edge).max;
-        (half, shown_area * surfel.normal.dot(toward_receiver))
-    };
-    let silhouette = box_silhouette(half, toward_receiver);
-    let opacity = (shown.abs() / silhouette.max(1e-30)).min(1.0);
-    Cluster {
-        low: surfel.center - half,
-        high: surfel.center + half,
-        silhouette,
-        front: if shown > 0.0 { opacity } else { 0.0 },
-        back: if shown > 0.0 || surfel.front_only { 0.0 } else { opacity },
-        solid: !surfel.front_only && !surfel.isotropic,
-        radiance: surfel.radiance,
-        near: distance - surfel.radius,
-        far: distance + surfel.radius,
-    }
-}
-
-/// Radius of a near disk over that of the disk of the surfel's area.
+/// Radius of the disks of sheets over that of the disk of the surfel's area.
 ///
 /// Disks of the true area leave a tenth of a square lattice open, disks that cover it (1.25) reach out of every edge
-/// of leaves and boards by a fifth of a micropolygon, which blocks a quarter too much in foliage. At 1.1 holes are below what
-/// counts as a whole layer of solid pieces.
-const DISK_RESERVE: f32 = 1.1;
+/// of leaves and boards by a fifth of a micropolygon, which blocks a quarter too much in foliage.
+const SHEET_RESERVE: f32 = 1.1;
+
+/// The same for solid things, which must not leak; their edges are few.
+const SOLID_RESERVE: f32 = 1.25;
 
 /// Covering radius over area-true radius from which on a surfel is a needle: its disk keeps the covering radius and becomes
 /// transparent instead.
 const NEEDLE_RATIO: f32 = 2.2;
 
-/// The disk a near surfel is drawn as and its opacity. An isotropic one turns to the receiver.
+/// Share of a piece's extent by which neighbors on the same surface may lie before it and not hide it.
+const NEIGHBOR_DEPTH: f32 = 0.25;
+
+/// The disk a surfel is drawn as, and its opacity. An isotropic one turns to the receiver.
 #[inline(always)]
-fn near_disk(seen: &SurfelSeen) -> (Disk, f32) {
+fn surfel_disk(seen: &SurfelSeen, receiver_normal: Vec3) -> (Disk, Vec3, f32) {
     let surfel = &seen.surfel;
     let shown = if surfel.isotropic { 0.5 * surfel.area } else { surfel.area };
     let area_true = (shown * FRAC_1_PI).sqrt();
-    let (mut radius, mut opacity) = (surfel.radius.min(DISK_RESERVE * area_true), 1.0);
+    let is_sheet = surfel.front_only || surfel.isotropic;
+    let reserve = if is_sheet { SHEET_RESERVE } else { SOLID_RESERVE };
+    let (mut radius, mut opacity) = (surfel.radius.min(reserve * area_true), 1.0);
     if surfel.radius > NEEDLE_RATIO * area_true {
         radius = surfel.radius;
-        opacity = (DISK_RESERVE * area_true / radius).powi(2);
+        opacity = (SHEET_RESERVE * area_true / radius).powi(2);
     }
     let normal = if surfel.isotropic {
         surfel.center * (-1.0 / seen.distance2.sqrt())
     } else {
         surfel.normal
     };
-    (Disk { center: surfel.center, normal, radius }, opacity)
+    let inverse = normal * (1.0 / normal.dot(surfel.center));
+    let distance_min = least_distance(surfel, receiver_normal);
+    (Disk { inverse, center: surfel.center, radius, distance_min }, normal, opacity)
+}
+
+/// Whether a surfel covers anything: neither seen along its edge nor from behind where only its front is.
+#[inline(always)]
+fn blocks(seen: &SurfelSeen) -> bool {
+    let surfel = &seen.surfel;
+    let height = surfel.normal.dot(surfel.center);
+    surfel.isotropic || height < 0.0 || (height > 0.0 && !surfel.front_only)
+}
+
+/// Where a piece of a cluster lies, and which share of it is there.
+#[inline(always)]
+fn piece_shape(cluster: &Cluster, piece: &Piece) -> (Section, Veil) {
+    let section = Section { inverse: piece.inverse, low: cluster.low, high: cluster.high };
+    (section, Veil { start: piece.start, end: piece.end, seed: cluster.seed })
 }
 
 /// Draws the cut into the cube.
-struct CubeVisitor<'a> {
+struct CubeVisitor<'a, L> {
     raster: &'a mut CubeRaster,
     normal: Vec3,
-    near2: f32,
+    lanes: PhantomData<L>,
 }
 
-impl CutVisitor for CubeVisitor<'_> {
+impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
     #[inline(always)]
     fn is_open(&self, low: Vec3, high: Vec3) -> bool {
         self.raster.is_box_open(low, high)
@@ -290,66 +281,71 @@ impl CutVisitor for CubeVisitor<'_> {
 
     #[inline(always)]
     fn take_cluster(&mut self, cluster: &Cluster) {
-        let splat = Splat {
-            front: cluster.front,
-            back: cluster.back,
-            solid: cluster.solid,
-            radiance: cluster.radiance,
-            near: if cluster.solid { cluster.near } else { 0.5 * (cluster.near + cluster.far) },
-            far: cluster.far,
-        };
-        self.raster.draw_box(cluster.low, cluster.high, &splat);
+        for piece in cluster.pieces() {
+            let (section, veil) = piece_shape(cluster, piece);
+            let ink = Ink {
+                veil,
+                solid_angle: piece.solid_angle,
+                radiance: piece.radiance,
+                tolerance: NEIGHBOR_DEPTH * cluster.spread,
+            };
+            self.raster.draw::<L, _>(&section, cluster.low, cluster.high, &ink);
+        }
     }
 
     #[inline(always)]
     fn take_surfel(&mut self, seen: &SurfelSeen) {
-        let surfel = &seen.surfel;
-        if seen.distance2 >= self.near2 * surfel.radius * surfel.radius {
-            self.take_cluster(&surfel_cluster(seen));
+        if !blocks(seen) {
             return;
         }
-        let distance_min = least_distance(surfel, self.normal);
-        let (disk, opacity) = near_disk(seen);
-        let ink = DiskInk {
-            opacity,
-            front_only: surfel.front_only,
-            solid: !surfel.front_only && !surfel.isotropic,
-            radiance: surfel.radiance,
+        let surfel = &seen.surfel;
+        let (disk, normal, opacity) = surfel_disk(seen, self.normal);
+        let distance = seen.distance2.sqrt();
+        let shown = if surfel.isotropic { 0.5 * surfel.area } else { surfel.area };
+        let cosine = normal.dot(disk.center) * (-1.0 / distance);
+        let ink = Ink {
+            veil: Veil { start: 0.0, end: opacity, seed: seen.seed },
+            solid_angle: shown * cosine.abs() / seen.distance2,
+            radiance: if cosine > 0.0 { surfel.radiance } else { [0.0; 3] },
+            tolerance: NEIGHBOR_DEPTH * disk.radius / distance,
         };
-        self.raster.draw_disk(&disk, &ink, distance_min);
+        let bounds = Aabb::from_disk(disk.center, normal, disk.radius);
+        self.raster.draw::<L, _>(&disk, bounds.min, bounds.max, &ink);
     }
 }
 
 /// Draws what blocks a window.
-struct WindowVisitor<'a> {
+struct WindowVisitor<'a, L> {
     raster: &'a mut WindowRaster,
     window: &'a Window,
     normal: Vec3,
-    /// Squared width of a texel, as the tangent of an angle.
-    texel2: f32,
+    lanes: PhantomData<L>,
 }
 
-impl CutVisitor for WindowVisitor<'_> {
+impl<L: Lanes> CutVisitor for WindowVisitor<'_, L> {
     #[inline(always)]
     fn is_open(&self, low: Vec3, high: Vec3) -> bool {
-        self.raster.is_box_open(self.window, low, high)
+        !self.raster.is_closed() && self.window.is_met_by(low, high)
     }
 
     #[inline(always)]
     fn take_cluster(&mut self, cluster: &Cluster) {
-        let Cluster { low, high, silhouette, front, back, .. } = *cluster;
-        self.raster.draw_box(self.window, low, high, silhouette, (front, back));
+        for piece in cluster.pieces() {
+            let (section, veil) = piece_shape(cluster, piece);
+            self.raster.draw::<L, _>(self.window, &section, &veil);
+        }
     }
 
     #[inline(always)]
     fn take_surfel(&mut self, seen: &SurfelSeen) {
-        let surfel = &seen.surfel;
-        if PI * surfel.radius * surfel.radius < self.texel2 * seen.distance2 {
-            self.take_cluster(&surfel_cluster(seen));
+        if !blocks(seen) {
             return;
         }
-        let distance_min = least_distance(surfel, self.normal);
-        let (disk, opacity) = near_disk(seen);
-        self.raster.draw_disk(self.window, &disk, opacity, surfel.front_only, distance_min);
+        let (disk, _, opacity) = surfel_disk(seen, self.normal);
+        let bounds = seen.surfel.radius;
+        if self.window.is_met_by(disk.center - bounds, disk.center + bounds) {
+            let veil = Veil { start: 0.0, end: opacity, seed: seen.seed };
+            self.raster.draw::<L, _>(self.window, &disk, &veil);
+        }
     }
 }

@@ -9,6 +9,8 @@ use pbgi_raster::{CubeRasterTable, Window};
 #[derive(Clone, Debug)]
 pub(crate) struct PreparedPeak {
     pub window: Window,
+    /// Width of its texels at distance 1.
+    pub texel_width: f32,
     /// Unit direction and radiance times solid angle, row by row.
     pub texels: Vec<(Vec3, [f32; 3])>,
     /// Half-angle's sine of the cone around the window's axis that holds the window.
@@ -36,7 +38,8 @@ impl PreparedLight {
             });
             let half_diagonal = peak.half_width * std::f32::consts::SQRT_2;
             PreparedPeak {
-                window: Window { frame: peak.frame, half_width: peak.half_width, n: peak.n },
+                window: Window::new(peak.frame, peak.half_width, peak.n),
+                texel_width: 2.0 * peak.half_width / peak.n as f32,
                 texels: texels.collect(),
                 sin_half_angle: half_diagonal / (1.0 + half_diagonal * half_diagonal).sqrt(),
             }

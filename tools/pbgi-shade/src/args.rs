@@ -146,9 +146,6 @@ pub struct QualityArgs {
     /// Texels along a face of the cube raster
     #[arg(long, value_name = "N", default_value_t = ShadeSettings::default().raster_edge)]
     pub raster: usize,
-    /// Surfels nearer than this many radii are intersected exactly
-    #[arg(long, value_name = "RADII", default_value_t = ShadeSettings::default().near_radii)]
-    pub near: f32,
     /// Surfels that rise less than this share of their radius above a receiver are its own surface
     #[arg(long, value_name = "SHARE", default_value_t = ShadeSettings::default().bias)]
     pub bias: f32,

@@ -53,7 +53,6 @@ fn settings(args: &ShadeArgs) -> ShadeSettings {
     ShadeSettings {
         solid_angle_sr: args.quality.solid_angle,
         raster_edge: args.quality.raster,
-        near_radii: args.quality.near,
         bias: args.quality.bias,
         environment: args.light.environment(),
         check_receivers: args.quality.check,

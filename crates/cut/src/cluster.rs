@@ -1,0 +1,213 @@
+//! What a node shows to a receiver.
+
+use pbgi_format::{LOBES_MAX, Lobe, SurfelLayout};
+use pbgi_math::{Vec3, box_silhouette, central_section_area};
+
+/// A piece of a plane that stands for one lobe of a node.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Piece {
+    /// The plane: its normal over its signed distance from the receiver.
+    pub inverse: Vec3,
+    /// Which share of the plane's section with the node's box it covers: from here …
+    pub start: f32,
+    /// … to here. Pieces of a node cover different shares.
+    pub end: f32,
+    /// Solid angle of the surfaces seen, as if nothing outside the node hid them; sr.
+    pub solid_angle: f32,
+    /// Their radiance; 0 for backs.
+    pub radiance: [f32; 3],
+}
+
+/// What a node shows to the receiver.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Cluster {
+    /// Smallest corner of a box around the pieces, relative to the receiver.
+    pub low: Vec3,
+    /// Largest corner.
+    pub high: Vec3,
+    /// Tells nodes apart.
+    pub seed: u32,
+    /// Radius of the bounding sphere over its distance.
+    pub spread: f32,
+    pieces: [Piece; LOBES_MAX],
+    count: usize,
+}
+
+/// Largest `h/(|V| + h)` of a lobe that is drawn where its plane lies; rounder ones are drawn facing the receiver.
+const FLAT_WIDTH: f32 = 0.25;
+
+/// Fill from which on a flat lobe of a solid thing is drawn whole: what is missing lies at the rim of an area that
+/// was found by dicing, or is where a curved surface bends away.
+const SOLID_WHOLE: f32 = 0.8;
+
+/// The same for sheets, which have holes.
+const SHEET_WHOLE: f32 = 0.95;
+
+/// Share of a box's largest edge by which its sections reach out of it: neighboring pieces of a surface then leave
+/// no gap, whatever rounding did to their boxes.
+const REACH: f32 = 0.01;
+
+/// The same per unit of `h/(|V| + h)`: planes of a curved surface's pieces do not quite meet.
+const REACH_CURVED: f32 = 0.3;
+
+/// Thickness of a flat box, as a share of its largest edge; known to the builder.
+const THICKNESS: f32 = 1e-3;
+
+/// A lobe as the receiver sees it.
+#[derive(Clone, Copy, Default)]
+struct Shown {
+    piece: Piece,
+    distance2: f32,
+    /// Share of the section it covers.
+    opacity: f32,
+    /// Area, front or back.
+    area: f32,
+    is_sheet: bool,
+    is_flat: bool,
+    is_front: bool,
+}
+
+impl Cluster {
+    /// The pieces, nearest first.
+    #[must_use]
+    #[inline(always)]
+    pub fn pieces(&self) -> &[Piece] {
+        &self.pieces[..self.count]
+    }
+
+    /// Evaluates a node's lobes toward the receiver.
+    ///
+    /// Opaque surfaces enclose things: the areas their fronts show do not overlap, and add up; their backs are behind
+    /// their fronts. Sheets (front-only surfels back to back: leaves, cloth) do overlap, unless they are one flat
+    /// piece: only the largest flat lobe is taken as it is and the rest hides itself as a cloud of
+    /// random pieces does, covering `1 − e^−τ` where its area is `τ` times the box's silhouette.
+    #[inline(always)]
+    pub(crate) fn from_lobes(
+        low: Vec3,
+        high: Vec3,
+        lobes: &[u8],
+        seed: u32,
+        layout: &SurfelLayout,
+    ) -> Self {
+        let (center, half) = ((low + high) * 0.5, (high - low) * 0.5);
+        let largest = half.max_element();
+        let half = half.max(Vec3::splat(THICKNESS * largest));
+        let distance = center.length();
+        let toward_receiver = center * (-1.0 / distance);
+        let mut shown = [Shown::default(); LOBES_MAX];
+        let (mut count, mut roundness) = (0, 0.0f32);
+        for stored in lobes.chunks_exact(Lobe::stored_bytes(layout.channels)).take(LOBES_MAX) {
+            let lobe = Lobe::read(stored, layout.channels, layout.area, layout.radiance_scale);
+            let Some(seen) = see_lobe(&lobe, center, half, toward_receiver) else { continue };
+            if seen.is_flat {
+                roundness = roundness.max(lobe.width / (lobe.width + lobe.vector.length()));
+            }
+            // By distance, nearest first.
+            let mut at = count;
+            while at > 0 && shown[at - 1].distance2 > seen.distance2 {
+                shown[at] = shown[at - 1];
+                at -= 1;
+            }
+            shown[at] = seen;
+            count += 1;
+        }
+        let shown = &mut shown[..count];
+        thin_sheets(shown, box_silhouette(half, toward_receiver));
+        let margin = Vec3::splat(2.0 * largest * (REACH + REACH_CURVED * roundness));
+        let mut cluster = Self {
+            low: center - half - margin,
+            high: center + half + margin,
+            seed,
+            spread: half.length() / distance,
+            count,
+            ..Self::default()
+        };
+        let mut covered = 0.0;
+        for (piece, seen) in cluster.pieces.iter_mut().zip(shown.iter()) {
+            *piece = seen.piece;
+            let whole = if seen.is_sheet { SHEET_WHOLE } else { SOLID_WHOLE };
+            if seen.is_flat && seen.opacity >= whole {
+                piece.end = 1.0;
+            } else if seen.is_front {
+                piece.start = covered;
+                piece.end = (covered + seen.opacity).min(1.0);
+                covered = piece.end;
+            } else {
+                piece.end = seen.opacity.min(1.0);
+            }
+        }
+        cluster
+    }
+}
+
+/// What a lobe shows, or none where it shows nothing that blocks.
+#[inline(always)]
+fn see_lobe(lobe: &Lobe, center: Vec3, half: Vec3, toward_receiver: Vec3) -> Option<Shown> {
+    let along = lobe.vector.dot(toward_receiver);
+    let root = (along * along + lobe.width * lobe.width).sqrt();
+    let (front, back) = (0.5 * (along + root), 0.5 * (root - along));
+    let length = lobe.vector.length();
+    let is_flat = lobe.width <= FLAT_WIDTH * (length + lobe.width);
+    let back = if lobe.blocks_back { back } else { 0.0 };
+    let is_front = if is_flat { along > 0.0 } else { front > 0.0 };
+    let area = if is_flat && !is_front { back } else { front.max(back) };
+    if !(area > 0.0) {
+        return None;
+    }
+    let (normal, point, opacity);
+    if is_flat {
+        normal = lobe.vector * (1.0 / length);
+        point = center + normal * (lobe.height * normal.abs().dot(half));
+        opacity = lobe.fill;
+    } else {
+        (normal, point) = (toward_receiver, center);
+        opacity = (area / central_section_area(half, toward_receiver)).min(1.0);
+    }
+    let (distance2, height) = (point.length_squared(), normal.dot(point));
+    // Seen along its edge it covers nothing; the plane must not contain the receiver.
+    let height = if height.abs() < 1e-6 * length_of(distance2) {
+        1e-6 * length_of(distance2)
+    } else {
+        height
+    };
+    let piece = Piece {
+        inverse: normal * (1.0 / height),
+        start: 0.0,
+        end: 0.0,
+        solid_angle: if is_front { front } else { back } / distance2,
+        radiance: if is_front { lobe.radiance } else { [0.0; 3] },
+    };
+    let is_sheet = !lobe.blocks_back;
+    Some(Shown { piece, distance2, opacity, area, is_sheet, is_flat, is_front })
+}
+
+#[inline(always)]
+fn length_of(length2: f32) -> f32 {
+    length2.sqrt()
+}
+
+/// Reduces what sheets show that are not one flat piece to `1 − e^−τ`.
+#[inline(always)]
+fn thin_sheets(shown: &mut [Shown], silhouette: f32) {
+    let (mut total, mut flat, mut flat_index) = (0.0, 0.0, usize::MAX);
+    for (index, seen) in shown.iter().enumerate() {
+        if seen.is_sheet {
+            total += seen.area;
+            if seen.is_flat && seen.area > flat {
+                (flat, flat_index) = (seen.area, index);
+            }
+        }
+    }
+    let rest = total - flat;
+    if !(rest > 1e-3 * total) {
+        return;
+    }
+    let open = (silhouette - flat).max(0.0);
+    let factor = (open * (1.0 - (-rest / silhouette).exp()) / rest).min(1.0);
+    for (index, seen) in shown.iter_mut().enumerate() {
+        if seen.is_sheet && index != flat_index {
+            seen.opacity *= factor;
+            seen.piece.solid_angle *= factor;
+        }
+    }
+}

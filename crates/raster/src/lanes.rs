@@ -1,0 +1,226 @@
+//! Sixteen numbers at a time: the samples of a texel.
+
+/// Samples of a texel, and numbers in a [`Lanes`].
+pub const SAMPLES: usize = 16;
+
+/// Sixteen numbers, in whatever registers the processor has for them. Every implementation gives the same bits.
+///
+/// Only [`crate::run_wide`] chooses an implementation, after asking the processor.
+pub trait Lanes: Copy + sealed::Sealed {
+    /// Result of a comparison.
+    type Mask: Copy;
+
+    /// The same number in all lanes.
+    fn splat(x: f32) -> Self;
+    /// Numbers from memory.
+    fn load(from: &[f32; SAMPLES]) -> Self;
+    /// Sum.
+    fn add(self, other: Self) -> Self;
+    /// Difference.
+    fn sub(self, other: Self) -> Self;
+    /// Product.
+    fn mul(self, other: Self) -> Self;
+    /// Lanes that are less than or equal to the other's.
+    fn le(self, other: Self) -> Self::Mask;
+    /// Lanes in both.
+    fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    /// One bit per lane, the first lane's lowest.
+    fn bits(mask: Self::Mask) -> u16;
+    /// Writes the lanes whose bits are set.
+    fn store_where(self, bits: u16, to: &mut [f32; SAMPLES]);
+}
+
+pub(crate) mod sealed {
+    pub trait Sealed {}
+}
+
+/// Plain numbers: every processor, and the oracle of the others.
+#[derive(Clone, Copy, Debug)]
+pub struct Plain([f32; SAMPLES]);
+
+impl sealed::Sealed for Plain {}
+
+impl Plain {
+    #[inline(always)]
+    fn zip(self, other: Self, f: impl Fn(f32, f32) -> f32) -> Self {
+        let mut out = self;
+        for (a, b) in out.0.iter_mut().zip(other.0) {
+            *a = f(*a, b);
+        }
+        out
+    }
+}
+
+impl Lanes for Plain {
+    type Mask = u16;
+
+    #[inline(always)]
+    fn splat(x: f32) -> Self {
+        Self([x; SAMPLES])
+    }
+    #[inline(always)]
+    fn load(from: &[f32; SAMPLES]) -> Self {
+        Self(*from)
+    }
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        self.zip(other, |a, b| a + b)
+    }
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        self.zip(other, |a, b| a - b)
+    }
+    #[inline(always)]
+    fn mul(self, other: Self) -> Self {
+        self.zip(other, |a, b| a * b)
+    }
+    #[inline(always)]
+    fn le(self, other: Self) -> u16 {
+        let mut bits = 0;
+        for lane in 0..SAMPLES {
+            bits |= u16::from(self.0[lane] <= other.0[lane]) << lane;
+        }
+        bits
+    }
+    #[inline(always)]
+    fn and(a: u16, b: u16) -> u16 {
+        a & b
+    }
+    #[inline(always)]
+    fn bits(mask: u16) -> u16 {
+        mask
+    }
+    #[inline(always)]
+    fn store_where(self, bits: u16, to: &mut [f32; SAMPLES]) {
+        for lane in 0..SAMPLES {
+            if bits >> lane & 1 != 0 {
+                to[lane] = self.0[lane];
+            }
+        }
+    }
+}
+
+/// x86-64 registers of 256 and 512 bits.
+///
+/// Values of these types exist only in code that [`crate::run_wide`] runs after it has found the
+/// instructions on this processor; that is the condition of every intrinsic called here.
+#[cfg(target_arch = "x86_64")]
+#[expect(unsafe_code, reason = "intrinsics of processors that run_wide has asked for them")]
+#[allow(clippy::undocumented_unsafe_blocks, reason = "one condition for all, stated above")]
+pub(crate) mod x86 {
+    use super::{Lanes, SAMPLES, sealed::Sealed};
+    use std::arch::x86_64::*;
+
+    /// Two AVX2 registers.
+    #[derive(Clone, Copy, Debug)]
+    pub struct Avx2(__m256, __m256);
+
+    impl Sealed for Avx2 {}
+
+    impl Lanes for Avx2 {
+        type Mask = (__m256, __m256);
+
+        #[inline(always)]
+        fn splat(x: f32) -> Self {
+            let v = unsafe { _mm256_set1_ps(x) };
+            Self(v, v)
+        }
+        #[inline(always)]
+        fn load(from: &[f32; SAMPLES]) -> Self {
+            // SAFETY: eight floats from 0 and eight from 8 are inside the array.
+            unsafe { Self(_mm256_loadu_ps(from.as_ptr()), _mm256_loadu_ps(from[8..].as_ptr())) }
+        }
+        #[inline(always)]
+        fn add(self, o: Self) -> Self {
+            unsafe { Self(_mm256_add_ps(self.0, o.0), _mm256_add_ps(self.1, o.1)) }
+        }
+        #[inline(always)]
+        fn sub(self, o: Self) -> Self {
+            unsafe { Self(_mm256_sub_ps(self.0, o.0), _mm256_sub_ps(self.1, o.1)) }
+        }
+        #[inline(always)]
+        fn mul(self, o: Self) -> Self {
+            unsafe { Self(_mm256_mul_ps(self.0, o.0), _mm256_mul_ps(self.1, o.1)) }
+        }
+        #[inline(always)]
+        fn le(self, o: Self) -> Self::Mask {
+            unsafe {
+                (
+                    _mm256_cmp_ps::<_CMP_LE_OQ>(self.0, o.0),
+                    _mm256_cmp_ps::<_CMP_LE_OQ>(self.1, o.1),
+                )
+            }
+        }
+        #[inline(always)]
+        fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask {
+            unsafe { (_mm256_and_ps(a.0, b.0), _mm256_and_ps(a.1, b.1)) }
+        }
+        #[inline(always)]
+        fn bits(mask: Self::Mask) -> u16 {
+            let (a, b) = unsafe { (_mm256_movemask_ps(mask.0), _mm256_movemask_ps(mask.1)) };
+            (a | b << 8) as u16
+        }
+        #[inline(always)]
+        fn store_where(self, bits: u16, to: &mut [f32; SAMPLES]) {
+            // SAFETY: as in `load`; masked lanes are not written.
+            unsafe {
+                let bit = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
+                let spread = |bits: u16| {
+                    let all = _mm256_set1_epi32(i32::from(bits));
+                    _mm256_cmpeq_epi32(_mm256_and_si256(all, bit), bit)
+                };
+                _mm256_maskstore_ps(to.as_mut_ptr(), spread(bits & 0xff), self.0);
+                _mm256_maskstore_ps(to[8..].as_mut_ptr(), spread(bits >> 8), self.1);
+            }
+        }
+    }
+
+    /// One AVX-512 register.
+    #[derive(Clone, Copy, Debug)]
+    pub struct Avx512(__m512);
+
+    impl Sealed for Avx512 {}
+
+    impl Lanes for Avx512 {
+        type Mask = __mmask16;
+
+        #[inline(always)]
+        fn splat(x: f32) -> Self {
+            Self(unsafe { _mm512_set1_ps(x) })
+        }
+        #[inline(always)]
+        fn load(from: &[f32; SAMPLES]) -> Self {
+            // SAFETY: sixteen floats are the whole array.
+            Self(unsafe { _mm512_loadu_ps(from.as_ptr()) })
+        }
+        #[inline(always)]
+        fn add(self, o: Self) -> Self {
+            Self(unsafe { _mm512_add_ps(self.0, o.0) })
+        }
+        #[inline(always)]
+        fn sub(self, o: Self) -> Self {
+            Self(unsafe { _mm512_sub_ps(self.0, o.0) })
+        }
+        #[inline(always)]
+        fn mul(self, o: Self) -> Self {
+            Self(unsafe { _mm512_mul_ps(self.0, o.0) })
+        }
+        #[inline(always)]
+        fn le(self, o: Self) -> Self::Mask {
+            unsafe { _mm512_cmp_ps_mask::<_CMP_LE_OQ>(self.0, o.0) }
+        }
+        #[inline(always)]
+        fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask {
+            a & b
+        }
+        #[inline(always)]
+        fn bits(mask: Self::Mask) -> u16 {
+            mask
+        }
+        #[inline(always)]
+        fn store_where(self, bits: u16, to: &mut [f32; SAMPLES]) {
+            // SAFETY: as in `load`; masked lanes are not written.
+            unsafe { _mm512_mask_storeu_ps(to.as_mut_ptr(), bits, self.0) }
+        }
+    }
+}

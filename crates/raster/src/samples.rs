@@ -1,0 +1,132 @@
+//! Where the samples of a texel lie, and which of them a partly transparent piece covers.
+
+use crate::lanes::SAMPLES;
+
+/// Place of sample `index` in its texel, 0..1 along u and v.
+///
+/// The first sixteen points of the Sobol sequence, moved to the middles of their cells: sixteen
+/// different columns and rows, so that an edge along a texel's side passes them one by one, and any run of
+/// them spreads over the texel.
+pub(crate) const fn place(index: usize) -> [f32; 2] {
+    let (mut u, mut v, mut bit) = (0, 0, 0);
+    let steps = [[8, 8], [4, 12], [2, 10], [1, 15]];
+    while bit < 4 {
+        if index >> bit & 1 != 0 {
+            u ^= steps[bit][0];
+            v ^= steps[bit][1];
+        }
+        bit += 1;
+    }
+    [(u as f32 + 0.5) / SAMPLES as f32, (v as f32 + 0.5) / SAMPLES as f32]
+}
+
+/// Samples `index XOR key < count` for each key and count: runs of the sequence, scrambled.
+const RUNS: [[u16; SAMPLES + 1]; SAMPLES] = {
+    let mut runs = [[0; SAMPLES + 1]; SAMPLES];
+    let mut key = 0;
+    while key < SAMPLES {
+        let mut count = 0;
+        while count <= SAMPLES {
+            let mut index = 0;
+            while index < SAMPLES {
+                if index ^ key < count {
+                    runs[key][count] |= 1 << index;
+                }
+                index += 1;
+            }
+            count += 1;
+        }
+        key += 1;
+    }
+    runs
+};
+
+/// What shares of a texel's samples a partly transparent piece covers: those from `start` to `end`, both
+/// 0..=1, in an order that `seed` scrambles. Pieces of one seed whose shares do not overlap cover different
+/// samples; pieces of different seeds cover samples independently of each other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Veil {
+    /// Where the share begins.
+    pub start: f32,
+    /// Where it ends.
+    pub end: f32,
+    /// What scrambles the order.
+    pub seed: u32,
+}
+
+impl Veil {
+    /// Covers all.
+    pub const OPAQUE: Self = Self { start: 0.0, end: 1.0, seed: 0 };
+
+    #[inline(always)]
+    pub(crate) fn is_opaque(&self) -> bool {
+        self.start <= 0.0 && self.end >= 1.0
+    }
+
+    /// The samples covered in texel `index`. On average over texels they are exactly the share.
+    #[inline(always)]
+    pub(crate) fn samples(&self, index: usize) -> u16 {
+        let hash = mix(self.seed ^ (index as u32).wrapping_mul(0x9e37_79b9));
+        let round = (hash >> 8) as f32 * (1.0 / (1 << 24) as f32);
+        let count = |share: f32| ((share * SAMPLES as f32 + round) as usize).min(SAMPLES);
+        let runs = &RUNS[(hash & 15) as usize];
+        runs[count(self.end)] & !runs[count(self.start)]
+    }
+}
+
+/// Scrambles all bits of a number: a bijection whose every output bit depends on every input bit.
+#[inline(always)]
+fn mix(mut x: u32) -> u32 {
+    x ^= x >> 16;
+    x = x.wrapping_mul(0x7feb_352d);
+    x ^= x >> 15;
+    x = x.wrapping_mul(0x846c_a68b);
+    x ^ (x >> 16)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn samples_are_spread_over_columns_rows_and_quarters() {
+        let places: Vec<_> = (0..SAMPLES).map(place).collect();
+        for axis in 0..2 {
+            let mut seen: Vec<_> = places.iter().map(|p| (p[axis] * 16.0) as usize).collect();
+            seen.sort_unstable();
+            assert!(seen.iter().copied().eq(0..16));
+        }
+        let mut cells: Vec<_> =
+            places.iter().map(|p| ((p[0] * 4.0) as usize, (p[1] * 4.0) as usize)).collect();
+        cells.sort_unstable();
+        cells.dedup();
+        assert_eq!(cells.len(), 16);
+    }
+
+    #[test]
+    fn veils_cover_their_share_on_average_and_complement_each_other() {
+        for share in [0.0f32, 0.03, 0.3, 0.77, 1.0] {
+            let (mut covered, mut rest) = (0, 0);
+            for index in 0..10_000 {
+                let first = Veil { start: 0.0, end: share, seed: 7 }.samples(index);
+                let second = Veil { start: share, end: 1.0, seed: 7 }.samples(index);
+                assert_eq!(first & second, 0);
+                covered += first.count_ones();
+                rest += second.count_ones();
+            }
+            assert!((covered as f32 / 160_000.0 - share).abs() < 0.003, "{share}: {covered}");
+            assert_eq!(covered + rest, 160_000, "{share}");
+        }
+    }
+
+    #[test]
+    fn veils_of_different_seeds_are_independent() {
+        let both: u32 = (0..10_000)
+            .map(|seed| {
+                let one = Veil { start: 0.0, end: 0.5, seed }.samples(3);
+                (one & Veil { start: 0.0, end: 0.5, seed: !seed }.samples(3)).count_ones()
+            })
+            .sum();
+        assert!((both as f32 / 160_000.0 - 0.25).abs() < 0.005, "{both}");
+    }
+}

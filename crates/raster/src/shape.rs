@@ -1,0 +1,107 @@
+//! What is drawn: pieces of planes, cut out by boxes or circles, and which directions meet them.
+
+use crate::lanes::Lanes;
+use pbgi_math::{CubeFace, Vec3};
+
+/// A part of a plane that does not contain the receiver.
+///
+/// Along the direction `D` the plane is hit at the distance `|D| / w` with `w = inverse·D`, linear in `D`: on a
+/// cube face, where `D = (1, u, v)`, inverse depth is linear in u and v.
+pub trait Shape: Copy {
+    /// The plane: its unit normal over its signed distance from the receiver.
+    fn inverse(&self) -> Vec3;
+    /// The same shape in the coordinates (depth, u, v) of a cube face.
+    #[must_use]
+    fn turned(&self, face: CubeFace) -> Self;
+    /// Which of sixteen directions, with their `w`, meet the shape.
+    fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> u16;
+}
+
+/// A vector in the coordinates (depth, u, v) of a face.
+#[inline(always)]
+fn turn(p: Vec3, face: CubeFace) -> Vec3 {
+    match face.axis() {
+        0 => Vec3::new(p.x * face.sign(), p.y, p.z),
+        1 => Vec3::new(p.y * face.sign(), p.z, p.x),
+        _ => Vec3::new(p.z * face.sign(), p.x, p.y),
+    }
+}
+
+/// The part of a plane inside a box, relative to the receiver.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Section {
+    /// See [`Shape::inverse`].
+    pub inverse: Vec3,
+    /// Smallest corner of the box.
+    pub low: Vec3,
+    /// Largest corner, larger along every axis.
+    pub high: Vec3,
+}
+
+impl Shape for Section {
+    #[inline(always)]
+    fn inverse(&self) -> Vec3 {
+        self.inverse
+    }
+
+    #[inline(always)]
+    fn turned(&self, face: CubeFace) -> Self {
+        let (a, b) = (turn(self.low, face), turn(self.high, face));
+        Self { inverse: turn(self.inverse, face), low: a.min(b), high: a.max(b) }
+    }
+
+    /// The point `D/w` is inside where `low·w ≤ D ≤ high·w` along every axis. No negative `w` satisfies both.
+    #[inline(always)]
+    fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> u16 {
+        let slab = |d: L, low: f32, high: f32| {
+            L::and(w.mul(L::splat(low)).le(d), d.le(w.mul(L::splat(high))))
+        };
+        let [x, y, z] = direction;
+        let xy = L::and(slab(x, self.low.x, self.high.x), slab(y, self.low.y, self.high.y));
+        L::bits(L::and(xy, slab(z, self.low.z, self.high.z)))
+    }
+}
+
+/// An oriented disk, relative to the receiver.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Disk {
+    /// See [`Shape::inverse`].
+    pub inverse: Vec3,
+    /// Center.
+    pub center: Vec3,
+    /// Radius.
+    pub radius: f32,
+    /// Points of it nearer than this are not there.
+    pub distance_min: f32,
+}
+
+impl Shape for Disk {
+    #[inline(always)]
+    fn inverse(&self) -> Vec3 {
+        self.inverse
+    }
+
+    #[inline(always)]
+    fn turned(&self, face: CubeFace) -> Self {
+        Self { inverse: turn(self.inverse, face), center: turn(self.center, face), ..*self }
+    }
+
+    /// The point `D/w` is on the disk where `|D − c w|² ≤ r² w²`, and far enough where `|D|² ≥ d² w²`.
+    #[inline(always)]
+    fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> u16 {
+        let [x, y, z] = direction;
+        let length2 = |x: L, y: L, z: L| x.mul(x).add(y.mul(y)).add(z.mul(z));
+        let from_center = |d: L, c: f32| d.sub(w.mul(L::splat(c)));
+        let (cx, cy, cz) = (
+            from_center(x, self.center.x),
+            from_center(y, self.center.y),
+            from_center(z, self.center.z),
+        );
+        let w2 = w.mul(w);
+        let on_disk = length2(cx, cy, cz).le(w2.mul(L::splat(self.radius * self.radius)));
+        let near2 = self.distance_min * self.distance_min;
+        let far_enough = w2.mul(L::splat(near2)).le(length2(x, y, z));
+        let in_front = L::splat(0.0).le(w);
+        L::bits(L::and(L::and(on_disk, far_enough), in_front))
+    }
+}
