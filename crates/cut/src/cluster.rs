@@ -113,7 +113,7 @@ impl Cluster {
         }
         let shown = &mut shown[..count];
         thin_sheets(shown, box_silhouette(half, toward_receiver));
-        let margin = Vec3::splat(2.0 * largest * (REACH + REACH_CURVED * roundness));
+        let margin = Vec3::splat(2.0 * largest * (pbgi_math::tune(1, 0.01) + pbgi_math::tune(2, 0.3) * roundness));
         let mut cluster = Self {
             low: center - half - margin,
             high: center + half + margin,
@@ -126,7 +126,7 @@ impl Cluster {
         for (piece, seen) in cluster.pieces.iter_mut().zip(shown.iter()) {
             *piece = seen.piece;
             let whole = if seen.is_sheet { SHEET_WHOLE } else { SOLID_WHOLE };
-            if seen.is_flat && seen.opacity >= whole {
+            if seen.is_flat && seen.opacity >= if seen.is_sheet { whole } else { pbgi_math::tune(0, 0.8) } {
                 piece.end = 1.0;
             } else if seen.is_front {
                 piece.start = covered;
@@ -147,7 +147,7 @@ fn see_lobe(lobe: &Lobe, center: Vec3, half: Vec3, toward_receiver: Vec3) -> Opt
     let root = (along * along + lobe.width * lobe.width).sqrt();
     let (front, back) = (0.5 * (along + root), 0.5 * (root - along));
     let length = lobe.vector.length();
-    let is_flat = lobe.width <= FLAT_WIDTH * (length + lobe.width);
+    let is_flat = lobe.width <= pbgi_math::tune(3, 0.25) * (length + lobe.width);
     let back = if lobe.blocks_back { back } else { 0.0 };
     let is_front = if is_flat { along > 0.0 } else { front > 0.0 };
     let area = if is_flat && !is_front { back } else { front.max(back) };

@@ -13,6 +13,12 @@ const ALL: u16 = u16::MAX;
 /// Solid angle, in steradians, up to which a piece's own solid angle is better than the count of its samples.
 const SMALL_SR: f32 = 0.06;
 
+/// Least share of a texel with which a piece counts for what its rest looks like.
+const MAIN_SHARE: f32 = 0.02;
+
+/// Mean brightness over that of the dimmest piece up to which a texel counts as one surface without lamps.
+const EVEN: f32 = 2.0;
+
 /// How a piece covers and shines.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ink {
@@ -36,20 +42,26 @@ pub struct TexelChunk {
     pub radiance: [[f32; LANES]; 3],
 }
 
-/// State of a texel.
+/// Coverage of a texel.
 #[derive(Clone, Copy, Debug, Default)]
-#[repr(C, align(32))]
 struct Texel {
-    /// Σ of radiance × share of the texel.
-    radiance: [f32; 3],
-    /// Σ of shares.
-    weight: f32,
-    /// Radiance of the last piece drawn.
-    last: [f32; 3],
     /// Samples covered, and those below the horizon.
     covered: u16,
     /// Samples above the horizon.
     above: u16,
+}
+
+/// Light of a texel.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(C, align(32))]
+struct Light {
+    /// Σ of radiance × share of the texel.
+    radiance: [f32; 3],
+    /// Σ of shares.
+    weight: f32,
+    /// Radiance of the dimmest piece, and the sum of its channels; that is negative at first.
+    dimmest: [f32; 3],
+    brightness: f32,
 }
 
 /// Samples of a texel that a piece met.
@@ -72,13 +84,14 @@ struct Hit {
 /// that a lamp smaller than a texel keeps its flux; a piece is not hidden by
 /// its neighbors on the same surface, known by their depth. A piece
 /// larger than that counts by the samples it newly covers. In a texel that is covered wholly, shares
-/// must sum to one: what is missing or in excess is made up with the radiance of the last piece.
+/// must sum to one: what is missing or in excess is made up with the radiance of the texel's dimmest piece, so that lamps keep their flux.
 #[derive(Clone, Debug)]
 pub struct CubeRaster {
     n: usize,
     stride: usize,
     shines: bool,
     texels: Vec<Texel>,
+    lights: Vec<Light>,
     /// Inverse depth along the face's axis of what covers each sample.
     depths: Vec<[f32; SAMPLES]>,
     /// Texels that are not wholly covered, one bit each, per row of each face.
@@ -104,6 +117,7 @@ impl CubeRaster {
             stride,
             shines,
             texels: vec![Texel::default(); 6 * n * stride],
+            lights: vec![Light::default(); 6 * n * stride],
             depths: vec![[0.0; SAMPLES]; 6 * n * stride],
             open: vec![0; 6 * n],
             scale: 0.5 * n as f32,
@@ -121,6 +135,9 @@ impl CubeRaster {
     /// start.
     #[inline(always)]
     pub fn clear<L: Lanes>(&mut self, normal: Vec3) {
+        if self.shines {
+            self.lights.fill(Light { brightness: -1.0, ..Light::default() });
+        }
         let step = 1.0 / self.scale;
         for face in CubeFace::ALL {
             let [ua, va] = face.uv_axes();
@@ -147,7 +164,7 @@ impl CubeRaster {
                     };
                     bits |= u64::from(above != 0) << column;
                     self.texels[row_index * self.stride + column] =
-                        Texel { covered: !above, above, ..Texel::default() };
+                        Texel { covered: !above, above };
                 }
                 self.open[row_index] = bits;
             }
@@ -249,7 +266,9 @@ impl CubeRaster {
                 if self.shines {
                     let hidden = before & L::bits(w.mul(nearer).le(L::load(depths)));
                     let visible = met & texel.above & !hidden;
-                    self.hits.push(Hit { index: index as u32, visible, new });
+                    if visible | new != 0 {
+                        self.hits.push(Hit { index: index as u32, visible, new });
+                    }
                 }
                 if new != 0 {
                     w.store_where(new, depths);
@@ -267,15 +286,14 @@ impl CubeRaster {
         let small = ink.solid_angle < SMALL_SR;
         let per_sample = ink.solid_angle / met as f32;
         for hit in &self.hits {
-            let texel = &mut self.texels[hit.index as usize];
-            let above = texel.above.count_ones() as f32;
+            let above = self.texels[hit.index as usize].above.count_ones() as f32;
             let share = if small {
                 let inverse = self.inverse_solid_angles[hit.index as usize];
                 hit.visible.count_ones() as f32 * per_sample * inverse * (SAMPLES as f32)
             } else {
                 hit.new.count_ones() as f32
             } / larger_than_zero(above);
-            texel.add(share, &ink.radiance);
+            self.lights[hit.index as usize].add(share, &ink.radiance);
         }
     }
 
@@ -293,12 +311,13 @@ impl CubeRaster {
         let w = L::splat(inverse.x)
             .add(L::splat(inverse.y).mul(x))
             .add(L::splat(inverse.z).mul(y));
-        let texel = &mut self.texels[index];
+        let texel = self.texels[index];
         let nearer = w.mul(L::splat(1.0 + ink.tolerance)).le(L::load(&self.depths[index]));
         let visible = texel.above & !(texel.covered & L::bits(nearer));
         let above = texel.above.count_ones() as f32;
         let open = visible.count_ones() as f32 / larger_than_zero(above);
-        texel.add(open * ink.solid_angle * self.inverse_solid_angles[index], &ink.radiance);
+        let share = open * ink.solid_angle * self.inverse_solid_angles[index];
+        self.lights[index].add(share, &ink.radiance);
     }
 
     /// Texels along a face.
@@ -332,11 +351,11 @@ impl CubeRaster {
         for lane in 0..LANES {
             let texel = &self.texels[index * LANES + lane];
             chunk.covered[lane] = 1.0 - self.openness(index * LANES + lane);
-            let missing = if texel.covered == ALL { 1.0 - texel.weight } else { 0.0 };
-            for (plane, (sum, last)) in
-                chunk.radiance.iter_mut().zip(texel.radiance.iter().zip(texel.last))
-            {
-                plane[lane] = crate::larger(sum + missing * last, 0.0);
+            let light = &self.lights[index * LANES + lane];
+            let radiance =
+                if texel.covered == ALL { light.made_whole() } else { light.radiance };
+            for (plane, light) in chunk.radiance.iter_mut().zip(radiance) {
+                plane[lane] = light;
             }
         }
         chunk
@@ -350,14 +369,29 @@ impl CubeRaster {
     }
 }
 
-impl Texel {
+impl Light {
+    /// Radiance of a texel that is covered wholly, with shares that sum to one.
+    #[inline(always)]
+    fn made_whole(&self) -> [f32; 3] {
+        let inverse = 1.0 / crate::larger(self.weight, 1e-6);
+        let mean = self.radiance.map(|sum| sum * inverse);
+        if mean[0] + mean[1] + mean[2] <= EVEN * self.brightness {
+            return mean;
+        }
+        let missing = 1.0 - self.weight;
+        std::array::from_fn(|c| crate::larger(self.radiance[c] + missing * self.dimmest[c], 0.0))
+    }
+
     #[inline(always)]
     fn add(&mut self, share: f32, radiance: &[f32; 3]) {
         for (sum, light) in self.radiance.iter_mut().zip(radiance) {
             *sum += share * light;
         }
         self.weight += share;
-        self.last = *radiance;
+        let brightness = radiance[0] + radiance[1] + radiance[2];
+        if share > MAIN_SHARE && (brightness < self.brightness || self.brightness < 0.0) {
+            (self.dimmest, self.brightness) = (*radiance, brightness);
+        }
     }
 }
 
@@ -524,8 +558,7 @@ mod tests {
             // Tiny: met by no sample or one.
             draw_section(&mut raster, piece, Vec3::Y, &ink(0.5 * whole, 1.4));
             draw_section(&mut raster, (low * 3.0, high * 3.0), Vec3::Y, &ink(2.0, 9.0));
-            let texel = &raster.texels[up];
-            let found = texel.radiance[0];
+            let found = raster.lights[up].radiance[0];
             let expected = if scale == 1.0 { expected } else { 0.0 };
             assert!((found - expected).abs() < 1e-4, "{scale}: {found}");
         }

@@ -235,7 +235,7 @@ fn surfel_disk(seen: &SurfelSeen, receiver_normal: Vec3) -> (Disk, Vec3, f32) {
     let shown = if surfel.isotropic { 0.5 * surfel.area } else { surfel.area };
     let area_true = (shown * FRAC_1_PI).sqrt();
     let is_sheet = surfel.front_only || surfel.isotropic;
-    let reserve = if is_sheet { SHEET_RESERVE } else { SOLID_RESERVE };
+    let reserve = if is_sheet { pbgi_math::tune(4, 1.1) } else { pbgi_math::tune(5, 1.25) };
     let (mut radius, mut opacity) = (surfel.radius.min(reserve * area_true), 1.0);
     if surfel.radius > NEEDLE_RATIO * area_true {
         radius = surfel.radius;
@@ -287,7 +287,7 @@ impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
                 veil,
                 solid_angle: piece.solid_angle,
                 radiance: piece.radiance,
-                tolerance: NEIGHBOR_DEPTH * cluster.spread,
+                tolerance: pbgi_math::tune(6, 0.25) * cluster.spread,
             };
             self.raster.draw::<L, _>(&section, cluster.low, cluster.high, &ink);
         }
@@ -307,7 +307,7 @@ impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
             veil: Veil { start: 0.0, end: opacity, seed: seen.seed },
             solid_angle: shown * cosine.abs() / seen.distance2,
             radiance: if cosine > 0.0 { surfel.radiance } else { [0.0; 3] },
-            tolerance: NEIGHBOR_DEPTH * disk.radius / distance,
+            tolerance: pbgi_math::tune(6, 0.25) * disk.radius / distance,
         };
         let bounds = Aabb::from_disk(disk.center, normal, disk.radius);
         self.raster.draw::<L, _>(&disk, bounds.min, bounds.max, &ink);
