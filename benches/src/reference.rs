@@ -99,16 +99,6 @@ impl Bench<'_> {
 
     fn report(&self, what: &str, found: &[f32], truth: &[f32], run: &ShadeReport) -> Result<()> {
         let error = compare(found, truth)?;
-        if std::env::var_os("WORST").is_some() {
-            let mean = truth.iter().sum::<f32>() / truth.len() as f32;
-            let per = found.len() / self.receivers.len();
-            let mut order: Vec<usize> = (0..self.receivers.len()).collect();
-            let err = |i: usize| { let (f,t)=(found[i*per]/mean,truth[i*per]/mean); (f-t)/(t*t+0.01).sqrt() };
-            order.sort_by(|a,b| err(*b).abs().total_cmp(&err(*a).abs()));
-            for i in order.into_iter().take(25) {
-                eprintln!("{:?} n {:?} found {:.4} truth {:.4} err {:+.3}", self.receivers[i].position, self.receivers[i].normal, found[i*per]/mean, truth[i*per]/mean, err(i));
-            }
-        }
         let receivers = run.receivers as f64;
         println!(
             "{:8} {what:12} {:7.2} % {:+7.2} % {:6.2} % {:7.1} % {:9.1} {:7.0}",

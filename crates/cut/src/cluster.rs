@@ -38,17 +38,14 @@ const FLAT_WIDTH: f32 = 0.25;
 
 /// Fill from which on a flat lobe of a solid thing is drawn whole: what is missing lies at the rim of an area that
 /// was found by dicing, or is where a curved surface bends away.
-const SOLID_WHOLE: f32 = 0.8;
+const SOLID_WHOLE: f32 = 0.9;
 
 /// The same for sheets, which have holes.
 const SHEET_WHOLE: f32 = 0.95;
 
 /// Share of a box's largest edge by which its sections reach out of it: neighboring pieces of a surface then leave
 /// no gap, whatever rounding did to their boxes.
-const REACH: f32 = 0.01;
-
-/// The same per unit of `h/(|V| + h)`: planes of a curved surface's pieces do not quite meet.
-const REACH_CURVED: f32 = 0.3;
+const REACH: f32 = 0.003;
 
 /// Thickness of a flat box, as a share of its largest edge; known to the builder.
 const THICKNESS: f32 = 1e-3;
@@ -95,13 +92,10 @@ impl Cluster {
         let distance = center.length();
         let toward_receiver = center * (-1.0 / distance);
         let mut shown = [Shown::default(); LOBES_MAX];
-        let (mut count, mut roundness) = (0, 0.0f32);
+        let mut count = 0;
         for stored in lobes.chunks_exact(Lobe::stored_bytes(layout.channels)).take(LOBES_MAX) {
             let lobe = Lobe::read(stored, layout.channels, layout.area, layout.radiance_scale);
             let Some(seen) = see_lobe(&lobe, center, half, toward_receiver) else { continue };
-            if seen.is_flat {
-                roundness = roundness.max(lobe.width / (lobe.width + lobe.vector.length()));
-            }
             // By distance, nearest first.
             let mut at = count;
             while at > 0 && shown[at - 1].distance2 > seen.distance2 {
@@ -113,7 +107,7 @@ impl Cluster {
         }
         let shown = &mut shown[..count];
         thin_sheets(shown, box_silhouette(half, toward_receiver));
-        let margin = Vec3::splat(2.0 * largest * (pbgi_math::tune(1, 0.01) + pbgi_math::tune(2, 0.3) * roundness));
+        let margin = Vec3::splat(2.0 * largest * REACH);
         let mut cluster = Self {
             low: center - half - margin,
             high: center + half + margin,
@@ -126,7 +120,7 @@ impl Cluster {
         for (piece, seen) in cluster.pieces.iter_mut().zip(shown.iter()) {
             *piece = seen.piece;
             let whole = if seen.is_sheet { SHEET_WHOLE } else { SOLID_WHOLE };
-            if seen.is_flat && seen.opacity >= if seen.is_sheet { whole } else { pbgi_math::tune(0, 0.8) } {
+            if seen.is_flat && seen.opacity >= whole {
                 piece.end = 1.0;
             } else if seen.is_front {
                 piece.start = covered;
@@ -147,7 +141,7 @@ fn see_lobe(lobe: &Lobe, center: Vec3, half: Vec3, toward_receiver: Vec3) -> Opt
     let root = (along * along + lobe.width * lobe.width).sqrt();
     let (front, back) = (0.5 * (along + root), 0.5 * (root - along));
     let length = lobe.vector.length();
-    let is_flat = lobe.width <= pbgi_math::tune(3, 0.25) * (length + lobe.width);
+    let is_flat = lobe.width <= FLAT_WIDTH * (length + lobe.width);
     let back = if lobe.blocks_back { back } else { 0.0 };
     let is_front = if is_flat { along > 0.0 } else { front > 0.0 };
     let area = if is_flat && !is_front { back } else { front.max(back) };

@@ -34,7 +34,3 @@ pub use solid_angle::{disk_solid_angle, sphere_sin2_for_solid_angle, sphere_soli
 pub fn luminance(rgb: [f32; 3]) -> f32 {
     0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2]
 }
-pub fn tune(i: usize, default: f32) -> f32 {
-    static T: std::sync::OnceLock<Vec<Option<f32>>> = std::sync::OnceLock::new();
-    T.get_or_init(|| (0..10).map(|i| std::env::var(format!("T{i}")).ok().and_then(|s| s.parse().ok())).collect())[i].unwrap_or(default)
-}

@@ -212,21 +212,19 @@ fn least_distance(surfel: &LeafSurfel, normal: Vec3) -> f32 {
     if own { OWN_SURFACE_RADII * surfel.radius } else { 0.0 }
 }
 
-/// Radius of the disks of sheets over that of the disk of the surfel's area.
+/// Radius of a surfel's disk over that of the disk of its area.
 ///
 /// Disks of the true area leave a tenth of a square lattice open, disks that cover it (1.25) reach out of every edge
-/// of leaves and boards by a fifth of a micropolygon, which blocks a quarter too much in foliage.
-const SHEET_RESERVE: f32 = 1.1;
-
-/// The same for solid things, which must not leak; their edges are few.
-const SOLID_RESERVE: f32 = 1.25;
+/// of leaves, boards and boxes by a fifth of a micropolygon, which blocks a quarter too much in foliage. At 1.1 a fortieth
+/// stays open.
+const RESERVE: f32 = 1.1;
 
 /// Covering radius over area-true radius from which on a surfel is a needle: its disk keeps the covering radius and becomes
 /// transparent instead.
 const NEEDLE_RATIO: f32 = 2.2;
 
 /// Share of a piece's extent by which neighbors on the same surface may lie before it and not hide it.
-const NEIGHBOR_DEPTH: f32 = 0.25;
+const NEIGHBOR_DEPTH: f32 = 0.15;
 
 /// The disk a surfel is drawn as, and its opacity. An isotropic one turns to the receiver.
 #[inline(always)]
@@ -234,12 +232,10 @@ fn surfel_disk(seen: &SurfelSeen, receiver_normal: Vec3) -> (Disk, Vec3, f32) {
     let surfel = &seen.surfel;
     let shown = if surfel.isotropic { 0.5 * surfel.area } else { surfel.area };
     let area_true = (shown * FRAC_1_PI).sqrt();
-    let is_sheet = surfel.front_only || surfel.isotropic;
-    let reserve = if is_sheet { pbgi_math::tune(4, 1.1) } else { pbgi_math::tune(5, 1.25) };
-    let (mut radius, mut opacity) = (surfel.radius.min(reserve * area_true), 1.0);
+    let (mut radius, mut opacity) = (surfel.radius.min(RESERVE * area_true), 1.0);
     if surfel.radius > NEEDLE_RATIO * area_true {
         radius = surfel.radius;
-        opacity = (SHEET_RESERVE * area_true / radius).powi(2);
+        opacity = (RESERVE * area_true / radius).powi(2);
     }
     let normal = if surfel.isotropic {
         surfel.center * (-1.0 / seen.distance2.sqrt())
@@ -287,7 +283,7 @@ impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
                 veil,
                 solid_angle: piece.solid_angle,
                 radiance: piece.radiance,
-                tolerance: pbgi_math::tune(6, 0.25) * cluster.spread,
+                tolerance: NEIGHBOR_DEPTH * cluster.spread,
             };
             self.raster.draw::<L, _>(&section, cluster.low, cluster.high, &ink);
         }
@@ -307,7 +303,7 @@ impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
             veil: Veil { start: 0.0, end: opacity, seed: seen.seed },
             solid_angle: shown * cosine.abs() / seen.distance2,
             radiance: if cosine > 0.0 { surfel.radiance } else { [0.0; 3] },
-            tolerance: pbgi_math::tune(6, 0.25) * disk.radius / distance,
+            tolerance: NEIGHBOR_DEPTH * disk.radius / distance,
         };
         let bounds = Aabb::from_disk(disk.center, normal, disk.radius);
         self.raster.draw::<L, _>(&disk, bounds.min, bounds.max, &ink);
