@@ -221,7 +221,9 @@ mod tests {
             };
             self.0.clear::<L>(self.1);
             for &(inverse, low, high) in self.2 {
-                self.0.draw::<L, _>(&Section { inverse, low, high }, low, high, &ink);
+                let footprint = self.0.footprint(low, high);
+                let section = Section { inverse, low, high };
+                self.0.draw::<L, _>(&[(section, ink)], &footprint, low + high);
             }
         }
     }

@@ -43,10 +43,6 @@ const SOLID_WHOLE: f32 = 0.9;
 /// The same for sheets, which have holes.
 const SHEET_WHOLE: f32 = 0.95;
 
-/// Share of a box's largest edge by which its sections reach out of it: neighboring pieces of a surface then leave
-/// no gap, whatever rounding did to their boxes.
-const REACH: f32 = 0.003;
-
 /// Thickness of a flat box, as a share of its largest edge; known to the builder.
 const THICKNESS: f32 = 1e-3;
 
@@ -65,6 +61,10 @@ struct Shown {
 }
 
 impl Cluster {
+    /// Share of a box's largest edge by which its sections reach out of it: neighboring pieces of a surface then
+    /// leave no gap, whatever rounding did to their boxes.
+    pub(crate) const REACH: f32 = 0.006;
+
     /// The pieces, nearest first.
     #[must_use]
     #[inline(always)]
@@ -72,7 +72,7 @@ impl Cluster {
         &self.pieces[..self.count]
     }
 
-    /// Evaluates a node's lobes toward the receiver.
+    /// Evaluates a node's lobes toward the receiver; `margin` is [`Self::REACH`] times the box's largest edge.
     ///
     /// Opaque surfaces enclose things: the areas their fronts show do not overlap, and add up; their backs are behind
     /// their fronts. Sheets (front-only surfels back to back: leaves, cloth) do overlap, unless they are one flat
@@ -82,6 +82,7 @@ impl Cluster {
     pub(crate) fn from_lobes(
         low: Vec3,
         high: Vec3,
+        margin: f32,
         lobes: &[u8],
         seed: u32,
         layout: &SurfelLayout,
@@ -105,15 +106,14 @@ impl Cluster {
             shown[at] = seen;
             count += 1;
         }
-        let shown = &mut shown[..count];
+        let shown = drop_backs(&mut shown[..count]);
         thin_sheets(shown, box_silhouette(half, toward_receiver));
-        let margin = Vec3::splat(2.0 * largest * REACH);
         let mut cluster = Self {
-            low: center - half - margin,
-            high: center + half + margin,
+            low: low - margin,
+            high: high + margin,
             seed,
             spread: half.length() / distance,
-            count,
+            count: shown.len(),
             ..Self::default()
         };
         let mut covered = 0.0;
@@ -132,6 +132,33 @@ impl Cluster {
         }
         cluster
     }
+}
+
+/// Share of the backs' area that fronts must show to hide them.
+const HIDING: f32 = 0.7;
+
+/// Leaves out the backs where fronts show about as much: they are the far side of the same thing.
+#[inline(always)]
+fn drop_backs(shown: &mut [Shown]) -> &mut [Shown] {
+    let (mut fronts, mut backs) = (0.0, 0.0);
+    for seen in shown.iter() {
+        if seen.is_front {
+            fronts += seen.area;
+        } else {
+            backs += seen.area;
+        }
+    }
+    if backs == 0.0 || fronts < HIDING * backs {
+        return shown;
+    }
+    let mut kept = 0;
+    for index in 0..shown.len() {
+        if shown[index].is_front {
+            shown[kept] = shown[index];
+            kept += 1;
+        }
+    }
+    &mut shown[..kept]
 }
 
 /// What a lobe shows, or none where it shows nothing that blocks.

@@ -37,8 +37,8 @@ pub struct SurfelSeen {
 /// Receives a cut, nearest first.
 pub trait CutVisitor {
     /// Whether anything in the box `low..=high` (relative to the receiver) could still be seen.
-    fn is_open(&self, low: Vec3, high: Vec3) -> bool;
-    /// Takes a node as one.
+    fn is_open(&mut self, low: Vec3, high: Vec3) -> bool;
+    /// Takes a node as one, just after `is_open` was asked about its box.
     fn take_cluster(&mut self, cluster: &Cluster);
     /// Takes a surfel.
     fn take_surfel(&mut self, surfel: &SurfelSeen);
@@ -151,8 +151,11 @@ pub fn pick_cut<V: CutVisitor, T: Threshold>(
         let large = frame.large & bit != 0;
         // Disks reach out of their boxes by an eighth of a box's edge, needles farther but transparent; the group's
         // margin may come from one giant among its surfels.
-        let reach = OVERHANG * (high - low).max_element();
-        let margin = if large { frame.cover_margin.min(reach) } else { 0.0 };
+        let margin = if large {
+            frame.cover_margin.min(OVERHANG * (high - low).max_element())
+        } else {
+            Cluster::REACH * (high - low).max_element()
+        };
         if !visitor.is_open(low - margin, high + margin) {
             stats.culled_opaque += 1;
             continue;
@@ -170,7 +173,7 @@ pub fn pick_cut<V: CutVisitor, T: Threshold>(
         if !large {
             let lobes = group.lobe_bytes(index, layout.channels);
             let seed = node_seed(frame.page_id, frame.offset, octant);
-            let cluster = Cluster::from_lobes(low, high, lobes, seed, &layout);
+            let cluster = Cluster::from_lobes(low, high, margin, lobes, seed, &layout);
             visitor.take_cluster(&cluster);
             stats.clusters += 1;
             continue;

@@ -1,11 +1,14 @@
 //! The cube raster: which samples are covered and how far away, and the radiance of each texel.
 
-use crate::footprint::{FaceRectangle, project_box};
+use crate::footprint::project_box;
 use crate::lanes::{Lanes, SAMPLES};
 use crate::samples::{Veil, place};
 use crate::shape::Shape;
 use crate::table::{CubeRasterTable, LANES};
 use pbgi_math::{CubeFace, Vec3};
+
+/// Most shapes that are drawn together.
+pub const SHAPES_MAX: usize = 4;
 
 /// Every sample of a texel.
 const ALL: u16 = u16::MAX;
@@ -20,7 +23,7 @@ const MAIN_SHARE: f32 = 0.02;
 const EVEN: f32 = 2.0;
 
 /// How a piece covers and shines.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Ink {
     /// The samples it covers among those it meets.
     pub veil: Veil,
@@ -40,6 +43,30 @@ pub struct TexelChunk {
     pub covered: [f32; LANES],
     /// Radiance of the surfaces, weighted by the share of the texel they show.
     pub radiance: [[f32; LANES]; 3],
+}
+
+/// Texels of a face.
+#[derive(Clone, Copy, Debug, Default)]
+struct TexelRange {
+    face: u8,
+    /// First and last column.
+    columns: [u8; 2],
+    /// First and last row.
+    rows: [u8; 2],
+}
+
+/// The texels that what lies in a box may touch; see [`CubeRaster::footprint`].
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Footprint {
+    ranges: [TexelRange; 6],
+    count: u8,
+}
+
+impl Footprint {
+    #[inline(always)]
+    fn ranges(&self) -> &[TexelRange] {
+        &self.ranges[..usize::from(self.count)]
+    }
 }
 
 /// Coverage of a texel.
@@ -68,6 +95,8 @@ struct Light {
 #[derive(Clone, Copy, Debug)]
 struct Hit {
     index: u32,
+    /// Which of the shapes drawn together.
+    shape: u8,
     /// Above the horizon and not hidden.
     visible: u16,
     /// Not covered before by anything.
@@ -98,6 +127,8 @@ pub struct CubeRaster {
     open: Vec<u64>,
     /// Scale from face coordinates to texels: `n / 2`.
     scale: f32,
+    /// Width of a texel in face coordinates.
+    step: f32,
     /// Places of the samples in a texel, in face coordinates.
     places: [[f32; SAMPLES]; 2],
     inverse_solid_angles: Vec<f32>,
@@ -121,6 +152,7 @@ impl CubeRaster {
             depths: vec![[0.0; SAMPLES]; 6 * n * stride],
             open: vec![0; 6 * n],
             scale: 0.5 * n as f32,
+            step,
             places: [places(0), places(1)],
             inverse_solid_angles: table
                 .texels()
@@ -138,7 +170,7 @@ impl CubeRaster {
         if self.shines {
             self.lights.fill(Light { brightness: -1.0, ..Light::default() });
         }
-        let step = 1.0 / self.scale;
+        let step = self.step;
         for face in CubeFace::ALL {
             let [ua, va] = face.uv_axes();
             let (na, nu, nv) = (normal[face.axis()] * face.sign(), normal[ua], normal[va]);
@@ -156,7 +188,7 @@ impl CubeRaster {
                     } else if middle <= -reach {
                         0
                     } else {
-                        let [x, y] = self.sample_coordinates::<L>(row, column);
+                        let (x, y) = (self.sample_columns::<L>(column), self.sample_rows::<L>(row));
                         let height = L::splat(na)
                             .add(L::splat(nu).mul(x))
                             .add(L::splat(nv).mul(y));
@@ -171,129 +203,164 @@ impl CubeRaster {
         }
     }
 
-    /// Face coordinates of a texel's samples.
+    /// Face coordinate u of the samples of the texels in a column.
     #[inline(always)]
-    fn sample_coordinates<L: Lanes>(&self, row: usize, column: usize) -> [L; 2] {
-        let step = 1.0 / self.scale;
-        let at = |i: usize, places: &[f32; SAMPLES]| {
-            L::splat(i as f32 * step - 1.0).add(L::load(places))
-        };
-        [at(column, &self.places[0]), at(row, &self.places[1])]
+    fn sample_columns<L: Lanes>(&self, column: usize) -> L {
+        L::splat(self.corner(column)).add(L::load(&self.places[0]))
     }
 
-    /// First and last texel of a coordinate interval.
+    /// Face coordinate v of the samples of the texels in a row.
     #[inline(always)]
-    fn span(&self, low: f32, high: f32) -> (usize, usize) {
-        // Coordinates are inside −1..=1, so the casts cannot go below 0.
-        let first = ((low + 1.0) * self.scale) as i32 as usize;
-        let last = ((high + 1.0) * self.scale) as i32 as usize;
-        (first.min(self.n - 1), last.min(self.n - 1))
+    fn sample_rows<L: Lanes>(&self, row: usize) -> L {
+        L::splat(self.corner(row)).add(L::load(&self.places[1]))
     }
 
-    /// Whether any texel that the box `low..=high` (relative to the receiver) touches is not yet
-    /// covered. Conservative: true where in doubt.
+    /// Face coordinate of the boundary before texel `i`.
+    #[inline(always)]
+    fn corner(&self, i: usize) -> f32 {
+        i as u32 as f32 * self.step - 1.0
+    }
+
+    /// The texels that the box `low..=high`, relative to the receiver, may touch.
     #[must_use]
     #[inline(always)]
-    pub fn is_box_open(&self, low: Vec3, high: Vec3) -> bool {
+    pub fn footprint(&self, low: Vec3, high: Vec3) -> Footprint {
+        let mut footprint = Footprint::default();
+        let last = self.n - 1;
         if low.cmple(Vec3::ZERO).all() && high.cmpge(Vec3::ZERO).all() {
-            return true;
+            // The receiver is within the box: any face may see what is in it.
+            for face in 0..6 {
+                footprint.ranges[usize::from(face)] =
+                    TexelRange { face, columns: [0, last as u8], rows: [0, last as u8] };
+            }
+            footprint.count = 6;
+            return footprint;
         }
+        let texel = |x: f32| smaller_index(((x + 1.0) * self.scale) as i32 as usize, last) as u8;
         let (rectangles, count) = project_box(low, high);
-        rectangles[..count].iter().any(|r| {
-            let (c0, c1) = self.span(r.u0, r.u1);
-            let (r0, r1) = self.span(r.v0, r.v1);
+        for (range, r) in footprint.ranges.iter_mut().zip(&rectangles[..count]) {
+            // Coordinates are inside −1..=1, so the casts cannot go below 0.
+            *range = TexelRange {
+                face: r.face,
+                columns: [texel(r.u0), texel(r.u1)],
+                rows: [texel(r.v0), texel(r.v1)],
+            };
+        }
+        footprint.count = count as u8;
+        footprint
+    }
+
+    /// Whether any texel of a footprint is not yet covered.
+    #[must_use]
+    #[inline(always)]
+    pub fn is_open(&self, footprint: &Footprint) -> bool {
+        footprint.ranges().iter().any(|r| {
+            let [c0, c1] = r.columns;
             let mask = (u64::MAX >> (63 - (c1 - c0))) << c0;
             let rows = usize::from(r.face) * self.n;
+            let [r0, r1] = r.rows.map(usize::from);
             self.open[rows + r0..=rows + r1].iter().any(|&bits| bits & mask != 0)
         })
     }
 
-    /// Draws a shape that lies in the box `low..=high`, relative to the receiver.
+    /// Draws up to [`SHAPES_MAX`] shapes that lie in one box, nearest first; `footprint` is the box's, `toward` leads to its
+    /// middle.
     #[inline(always)]
-    pub fn draw<L: Lanes, S: Shape>(&mut self, shape: &S, low: Vec3, high: Vec3, ink: &Ink) {
+    pub fn draw<L: Lanes, S: Shape>(
+        &mut self,
+        shapes: &[(S, Ink)],
+        footprint: &Footprint,
+        toward: Vec3,
+    ) {
         self.hits.clear();
-        let mut met = 0;
-        if low.cmple(Vec3::ZERO).all() && high.cmpge(Vec3::ZERO).all() {
-            // The receiver is within the box: any face may see the shape.
-            for face in CubeFace::ALL {
-                let whole =
-                    FaceRectangle { face: face.0, u0: -1.0, u1: 1.0, v0: -1.0, v1: 1.0 };
-                met += self.cover::<L, S>(shape, &whole, ink);
-            }
-        } else {
-            let (rectangles, count) = project_box(low, high);
-            for r in &rectangles[..count] {
-                met += self.cover::<L, S>(shape, r, ink);
-            }
+        let mut met = [0u32; SHAPES_MAX];
+        for range in footprint.ranges() {
+            self.cover::<L, S>(shapes, range, &mut met);
         }
         if self.shines {
-            if met == 0 {
-                self.shine_unmet::<L, S>(shape, low + high, ink);
-            } else {
-                self.shine(met, ink);
+            for hit in &self.hits {
+                let ink = &shapes[usize::from(hit.shape)].1;
+                let above = self.texels[hit.index as usize].above.count_ones() as f32;
+                let samples = if ink.solid_angle < SMALL_SR {
+                    let per_sample = ink.solid_angle * self.inverse_solid_angles[hit.index as usize]
+                        / met[usize::from(hit.shape)] as f32;
+                    hit.visible.count_ones() as f32 * per_sample * SAMPLES as f32
+                } else {
+                    hit.new.count_ones() as f32
+                };
+                let share = samples / larger_than_zero(above);
+                self.lights[hit.index as usize].add(share, &ink.radiance);
+            }
+            for ((shape, ink), met) in shapes.iter().zip(met) {
+                if met == 0 {
+                    self.shine_unmet::<L, S>(shape, toward, ink);
+                }
             }
         }
     }
 
-    /// Covers the samples in a rectangle of a face that meet the shape; returns how many do.
+    /// Covers the samples in a range of texels that meet the shapes, and counts for each how many do.
     #[inline(always)]
-    fn cover<L: Lanes, S: Shape>(&mut self, shape: &S, r: &FaceRectangle, ink: &Ink) -> u32 {
-        let face = CubeFace(r.face);
-        let shape = shape.turned(face);
-        let inverse = shape.inverse();
-        let (c0, c1) = self.span(r.u0, r.u1);
-        let (r0, r1) = self.span(r.v0, r.v1);
-        let opaque = ink.veil.is_opaque();
-        let nearer = L::splat(1.0 + ink.tolerance);
-        let mut met_total = 0;
-        for row in r0..=r1 {
-            let row_index = usize::from(r.face) * self.n + row;
-            for column in c0..=c1 {
-                let index = row_index * self.stride + column;
-                let [x, y] = self.sample_coordinates::<L>(row, column);
-                let w = L::splat(inverse.x)
-                    .add(L::splat(inverse.y).mul(x))
-                    .add(L::splat(inverse.z).mul(y));
-                let met = shape.meets([L::splat(1.0), x, y], w);
-                if met == 0 {
-                    continue;
-                }
-                met_total += met.count_ones();
-                let (texel, depths) = (&mut self.texels[index], &mut self.depths[index]);
-                let before = texel.covered;
-                let covered = if opaque { met } else { met & ink.veil.samples(index) };
-                let new = covered & !before;
-                if self.shines {
-                    let hidden = before & L::bits(w.mul(nearer).le(L::load(depths)));
-                    let visible = met & texel.above & !hidden;
-                    if visible | new != 0 {
-                        self.hits.push(Hit { index: index as u32, visible, new });
+    fn cover<L: Lanes, S: Shape>(
+        &mut self,
+        shapes: &[(S, Ink)],
+        range: &TexelRange,
+        met_total: &mut [u32; SHAPES_MAX],
+    ) {
+        let face = CubeFace(range.face);
+        let [c0, c1] = range.columns.map(usize::from);
+        let [r0, r1] = range.rows.map(usize::from);
+        for (number, (shape, ink)) in shapes.iter().enumerate() {
+            let shape = shape.turned(face);
+            let inverse = shape.inverse();
+            let opaque = ink.veil.is_opaque();
+            let nearer = L::splat(1.0 + ink.tolerance);
+            let mut met_here = 0;
+            let mut row = r0;
+            while row <= r1 {
+                let row_index = usize::from(range.face) * self.n + row;
+                let y = self.sample_rows::<L>(row);
+                let w_row = L::splat(inverse.x).add(L::splat(inverse.z).mul(y));
+                let mut column = c0;
+                while column <= c1 {
+                    let index = row_index * self.stride + column;
+                    let x = self.sample_columns::<L>(column);
+                    let w = w_row.add(L::splat(inverse.y).mul(x));
+                    let met = shape.meets([L::splat(1.0), x, y], w);
+                    column += 1;
+                    if met == 0 {
+                        continue;
+                    }
+                    met_here += met.count_ones();
+                    let texel = &mut self.texels[index];
+                    let before = texel.covered;
+                    if !self.shines && before == ALL {
+                        continue;
+                    }
+                    let depths = &mut self.depths[index];
+                    let covered = if opaque { met } else { met & ink.veil.samples(index) };
+                    let new = covered & !before;
+                    if self.shines {
+                        let hidden = before & L::bits(w.mul(nearer).le(L::load(depths)));
+                        let visible = met & texel.above & !hidden;
+                        if visible | new != 0 {
+                            let shape = number as u8;
+                            self.hits.push(Hit { index: index as u32, shape, visible, new });
+                        }
+                    }
+                    if new != 0 {
+                        if self.shines {
+                            w.store_where(new, depths);
+                        }
+                        texel.covered = before | new;
+                        if texel.covered == ALL {
+                            self.open[row_index] &= !(1 << (column - 1));
+                        }
                     }
                 }
-                if new != 0 {
-                    w.store_where(new, depths);
-                    texel.covered = before | new;
-                    self.open[row_index] &= !(u64::from(texel.covered == ALL) << column);
-                }
+                row += 1;
             }
-        }
-        met_total
-    }
-
-    /// Adds the light of a piece that met `met` samples to their texels.
-    #[inline(always)]
-    fn shine(&mut self, met: u32, ink: &Ink) {
-        let small = ink.solid_angle < SMALL_SR;
-        let per_sample = ink.solid_angle / met as f32;
-        for hit in &self.hits {
-            let above = self.texels[hit.index as usize].above.count_ones() as f32;
-            let share = if small {
-                let inverse = self.inverse_solid_angles[hit.index as usize];
-                hit.visible.count_ones() as f32 * per_sample * inverse * (SAMPLES as f32)
-            } else {
-                hit.new.count_ones() as f32
-            } / larger_than_zero(above);
-            self.lights[hit.index as usize].add(share, &ink.radiance);
+            met_total[number] += met_here;
         }
     }
 
@@ -304,9 +371,10 @@ impl CubeRaster {
             return;
         }
         let (face, u, v) = CubeFace::from_direction(toward);
-        let ((column, _), (row, _)) = (self.span(u, u), self.span(v, v));
+        let texel = |x: f32| smaller_index(((x + 1.0) * self.scale) as i32 as usize, self.n - 1);
+        let (column, row) = (texel(u), texel(v));
         let index = (usize::from(face.0) * self.n + row) * self.stride + column;
-        let [x, y] = self.sample_coordinates::<L>(row, column);
+        let (x, y) = (self.sample_columns::<L>(column), self.sample_rows::<L>(row));
         let inverse = shape.turned(face).inverse();
         let w = L::splat(inverse.x)
             .add(L::splat(inverse.y).mul(x))
@@ -395,6 +463,12 @@ impl Light {
     }
 }
 
+/// The smaller of two indices.
+#[inline(always)]
+fn smaller_index(a: usize, b: usize) -> usize {
+    if a < b { a } else { b }
+}
+
 /// A count to divide by.
 #[inline(always)]
 fn larger_than_zero(count: f32) -> f32 {
@@ -417,7 +491,12 @@ mod tests {
     fn draw_section(raster: &mut CubeRaster, (low, high): (Vec3, Vec3), normal: Vec3, ink: &Ink) {
         let point = (low + high) * 0.5;
         let section = Section { inverse: normal / normal.dot(point), low, high };
-        raster.draw::<Plain, _>(&section, low, high, ink);
+        let footprint = raster.footprint(low, high);
+        raster.draw::<Plain, _>(&[(section, *ink)], &footprint, point);
+    }
+
+    fn is_box_open(raster: &CubeRaster, low: Vec3, high: Vec3) -> bool {
+        raster.is_open(&raster.footprint(low, high))
     }
 
     fn irradiance(raster: &CubeRaster, table: &CubeRasterTable, normal: Vec3) -> f32 {
@@ -437,7 +516,8 @@ mod tests {
         let inverse = normal / normal.dot(center);
         let disk = Disk { inverse, center, radius: 1.0, distance_min: 0.0 };
         let aabb = Aabb::from_disk(center, normal, 1.0);
-        raster.draw::<Plain, _>(&disk, aabb.min, aabb.max, &ink(1.0, 1.0));
+        let footprint = raster.footprint(aabb.min, aabb.max);
+        raster.draw::<Plain, _>(&[(disk, ink(1.0, 1.0))], &footprint, center);
         irradiance(&raster, &table, receiver_normal)
     }
 
@@ -490,7 +570,8 @@ mod tests {
                 let (center, solid_angle) = (d * 5.0, PI * radius * radius / 25.0);
                 let disk = Disk { inverse: d / 5.0, center, radius, distance_min: 0.0 };
                 let aabb = Aabb::from_disk(center, d, radius);
-                raster.draw::<Plain, _>(&disk, aabb.min, aabb.max, &ink(solid_angle, 1.0));
+                let footprint = raster.footprint(aabb.min, aabb.max);
+                raster.draw::<Plain, _>(&[(disk, ink(solid_angle, 1.0))], &footprint, center);
                 let texels = table.texels().iter().enumerate();
                 let found: f32 = texels
                     .map(|(i, t)| raster.chunk(i / LANES).radiance[0][i % LANES] * t.solid_angle_sr)
@@ -537,7 +618,7 @@ mod tests {
         }
         let found = irradiance(&raster, &table, Vec3::Y);
         assert!((found / (2.0 * PI) - 1.0).abs() < 2e-3, "{found}");
-        assert!(!raster.is_box_open(Vec3::splat(3.0), Vec3::splat(3.5)));
+        assert!(!is_box_open(&raster, Vec3::splat(3.0), Vec3::splat(3.5)));
     }
 
     #[test]
@@ -586,8 +667,8 @@ mod tests {
         let mut raster = CubeRaster::new(&table, false);
         let normal = Vec3::new(0.3, 0.8, -0.2).normalize();
         raster.clear::<Plain>(normal);
-        assert!(!raster.is_box_open(Vec3::new(-0.1, -3.0, -0.1), Vec3::new(0.1, -2.0, 0.1)));
-        assert!(raster.is_box_open(Vec3::new(-0.1, 2.0, -0.1), Vec3::new(0.1, 3.0, 0.1)));
+        assert!(!is_box_open(&raster, Vec3::new(-0.1, -3.0, -0.1), Vec3::new(0.1, -2.0, 0.1)));
+        assert!(is_box_open(&raster, Vec3::new(-0.1, 2.0, -0.1), Vec3::new(0.1, 3.0, 0.1)));
         for (i, texel) in table.texels().iter().enumerate() {
             let above = f32::from(texel.direction.dot(normal) > 0.2);
             let below = f32::from(texel.direction.dot(normal) < -0.2);
@@ -616,12 +697,13 @@ mod tests {
                 let veil = Veil { start: 0.0, end: 0.6, seed: i };
                 let ink = Ink { veil, ..ink(0.03, i as f32) };
                 let aabb = Aabb::from_disk(center, n, radius);
+                let footprint = raster.footprint(aabb.min, aabb.max);
                 if i % 2 == 0 {
                     let disk = Disk { inverse, center, radius, distance_min: 0.5 };
-                    raster.draw::<L, _>(&disk, aabb.min, aabb.max, &ink);
+                    raster.draw::<L, _>(&[(disk, ink)], &footprint, center);
                 } else {
                     let section = Section { inverse, low: aabb.min, high: aabb.max };
-                    raster.draw::<L, _>(&section, aabb.min, aabb.max, &ink);
+                    raster.draw::<L, _>(&[(section, ink)], &footprint, center);
                 }
             }
             let chunks = (0..48).map(|i| raster.chunk(i));

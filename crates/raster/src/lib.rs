@@ -12,7 +12,7 @@ mod simd;
 mod table;
 mod window;
 
-pub use cube::{CubeRaster, Ink, TexelChunk};
+pub use cube::{CubeRaster, Footprint, Ink, SHAPES_MAX, TexelChunk};
 pub use footprint::{FaceRectangle, project_box};
 pub use lanes::{Lanes, SAMPLES};
 pub use samples::Veil;

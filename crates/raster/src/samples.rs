@@ -44,7 +44,7 @@ const RUNS: [[u16; SAMPLES + 1]; SAMPLES] = {
 /// What shares of a texel's samples a partly transparent piece covers: those from `start` to `end`, both
 /// 0..=1, in an order that `seed` scrambles. Pieces of one seed whose shares do not overlap cover different
 /// samples; pieces of different seeds cover samples independently of each other.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Veil {
     /// Where the share begins.
     pub start: f32,

@@ -28,7 +28,7 @@ fn turn(p: Vec3, face: CubeFace) -> Vec3 {
 }
 
 /// The part of a plane inside a box, relative to the receiver.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Section {
     /// See [`Shape::inverse`].
     pub inverse: Vec3,

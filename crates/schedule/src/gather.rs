@@ -10,7 +10,7 @@ use pbgi_cut::{
 use pbgi_format::LeafSurfel;
 use pbgi_math::{Aabb, Vec3};
 use pbgi_raster::{
-    CubeRaster, CubeRasterTable, Disk, Ink, Lanes, Section, SimdLevel, Veil, WideKernel, Window,
+    CubeRaster, CubeRasterTable, Disk, Footprint, Ink, Lanes, SHAPES_MAX, Section, SimdLevel, Veil, WideKernel, Window,
     WindowRaster, run_wide,
 };
 use pbgi_store::{Reader, StoreError};
@@ -119,6 +119,7 @@ impl<'a> Gatherer<'a> {
         self.raster.clear::<L>(receiver.normal);
         let mut visitor = CubeVisitor::<L> {
             raster: &mut self.raster,
+            footprint: Footprint::default(),
             normal: receiver.normal,
             lanes: PhantomData,
         };
@@ -265,19 +266,24 @@ fn piece_shape(cluster: &Cluster, piece: &Piece) -> (Section, Veil) {
 /// Draws the cut into the cube.
 struct CubeVisitor<'a, L> {
     raster: &'a mut CubeRaster,
+    /// Of the box that was asked about last.
+    footprint: Footprint,
     normal: Vec3,
     lanes: PhantomData<L>,
 }
 
 impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
     #[inline(always)]
-    fn is_open(&self, low: Vec3, high: Vec3) -> bool {
-        self.raster.is_box_open(low, high)
+    fn is_open(&mut self, low: Vec3, high: Vec3) -> bool {
+        self.footprint = self.raster.footprint(low, high);
+        self.raster.is_open(&self.footprint)
     }
 
     #[inline(always)]
     fn take_cluster(&mut self, cluster: &Cluster) {
-        for piece in cluster.pieces() {
+        let mut shapes = [(Section::default(), Ink::default()); SHAPES_MAX];
+        let pieces = cluster.pieces();
+        for (shape, piece) in shapes.iter_mut().zip(pieces) {
             let (section, veil) = piece_shape(cluster, piece);
             let ink = Ink {
                 veil,
@@ -285,8 +291,10 @@ impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
                 radiance: piece.radiance,
                 tolerance: NEIGHBOR_DEPTH * cluster.spread,
             };
-            self.raster.draw::<L, _>(&section, cluster.low, cluster.high, &ink);
+            *shape = (section, ink);
         }
+        let toward = cluster.low + cluster.high;
+        self.raster.draw::<L, _>(&shapes[..pieces.len()], &self.footprint, toward);
     }
 
     #[inline(always)]
@@ -306,7 +314,8 @@ impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
             tolerance: NEIGHBOR_DEPTH * disk.radius / distance,
         };
         let bounds = Aabb::from_disk(disk.center, normal, disk.radius);
-        self.raster.draw::<L, _>(&disk, bounds.min, bounds.max, &ink);
+        let footprint = self.raster.footprint(bounds.min, bounds.max);
+        self.raster.draw::<L, _>(&[(disk, ink)], &footprint, disk.center);
     }
 }
 
@@ -320,7 +329,7 @@ struct WindowVisitor<'a, L> {
 
 impl<L: Lanes> CutVisitor for WindowVisitor<'_, L> {
     #[inline(always)]
-    fn is_open(&self, low: Vec3, high: Vec3) -> bool {
+    fn is_open(&mut self, low: Vec3, high: Vec3) -> bool {
         !self.raster.is_closed() && self.window.is_met_by(low, high)
     }
 
