@@ -24,7 +24,7 @@ impl CubeFace {
     #[must_use]
     #[inline]
     pub fn sign(self) -> f32 {
-        if self.0 & 1 == 0 { 1.0 } else { -1.0 }
+        f32::from_bits(1f32.to_bits() | u32::from(self.0 & 1) << 31)
     }
 
     /// Axes of the face coordinates u and v.

@@ -237,15 +237,16 @@ impl CubeRaster {
             return footprint;
         }
         let texel = |x: f32| smaller_index(((x + 1.0) * self.scale) as i32 as usize, last) as u8;
-        let (rectangles, count) = project_box(low, high);
-        for (range, r) in footprint.ranges.iter_mut().zip(&rectangles[..count]) {
+        let mut count = 0;
+        project_box(low, high, |r| {
             // Coordinates are inside −1..=1, so the casts cannot go below 0.
-            *range = TexelRange {
+            footprint.ranges[count] = TexelRange {
                 face: r.face,
                 columns: [texel(r.u0), texel(r.u1)],
                 rows: [texel(r.v0), texel(r.v1)],
             };
-        }
+            count += 1;
+        });
         footprint.count = count as u8;
         footprint
     }

@@ -2,11 +2,12 @@
 
 use pbgi_math::{CubeFace, Vec3};
 
+use crate::shape::turn;
 use crate::{larger, smaller};
 
 /// A rectangle in the coordinates of a cube face, inside −1..=1.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct FaceRectangle {
+pub(crate) struct FaceRectangle {
     /// Face index, see [`CubeFace`].
     pub face: u8,
     /// Smallest u.
@@ -19,67 +20,71 @@ pub struct FaceRectangle {
     pub v1: f32,
 }
 
+/// A box in the coordinates (depth, u, v) of a face.
+#[inline(always)]
+fn turn_box(low: Vec3, high: Vec3, face: CubeFace) -> (Vec3, Vec3) {
+    let (a, b) = (turn(low, face), turn(high, face));
+    // The depth may have changed its sign, and its ends their order.
+    (Vec3::new(smaller(a.x, b.x), a.y, a.z), Vec3::new(larger(a.x, b.x), b.y, b.z))
+}
+
 /// Rectangle around the projection of the box `low..=high` (relative to the cube's center) on
 /// `face`, or none where the box does not reach into that face's pyramid.
 #[inline(always)]
 fn project_on_face(low: Vec3, high: Vec3, face: CubeFace) -> Option<FaceRectangle> {
-    let axis = face.axis();
-    let [ua, va] = face.uv_axes();
-    let (near, far) =
-        if face.sign() > 0.0 { (low[axis], high[axis]) } else { (-high[axis], -low[axis]) };
+    let (low, high) = turn_box(low, high, face);
+    let far = high.x;
     // Inside the pyramid the depth exceeds |u| and |v| of every point.
-    let reach = |low: f32, high: f32| larger(larger(low, -high), 0.0);
-    let near = larger(near, larger(reach(low[ua], high[ua]), reach(low[va], high[va])));
+    let reach = |low: f32, high: f32| larger(low, -high);
+    let near = larger(larger(low.x, 0.0), larger(reach(low.y, high.y), reach(low.z, high.z)));
     if far < near || far <= 0.0 {
         return None;
     }
     let inverse_near = 1.0 / larger(near, far * 1e-6);
     let inverse_far = 1.0 / far;
-    let (nu0, nu1) = (low[ua] * inverse_near, high[ua] * inverse_near);
-    let (nv0, nv1) = (low[va] * inverse_near, high[va] * inverse_near);
-    let (fu0, fu1) = (low[ua] * inverse_far, high[ua] * inverse_far);
-    let (fv0, fv1) = (low[va] * inverse_far, high[va] * inverse_far);
-    let (u0, u1) = (smaller(nu0, fu0), larger(nu1, fu1));
-    let (v0, v1) = (smaller(nv0, fv0), larger(nv1, fv1));
-    let (u0, u1) = (larger(u0, -1.0), smaller(u1, 1.0));
-    let (v0, v1) = (larger(v0, -1.0), smaller(v1, 1.0));
+    let project_low = |x: f32| x * if x < 0.0 { inverse_near } else { inverse_far };
+    let project_high = |x: f32| x * if x > 0.0 { inverse_near } else { inverse_far };
+    let (u0, u1) = (larger(project_low(low.y), -1.0), smaller(project_high(high.y), 1.0));
+    let (v0, v1) = (larger(project_low(low.z), -1.0), smaller(project_high(high.z), 1.0));
     (u0 <= u1 && v0 <= v1).then_some(FaceRectangle { face: face.0, u0, u1, v0, v1 })
 }
 
-/// Rectangles of the box `low..=high` on all faces it reaches, and their number. The box is given relative to the
-/// cube's center, which it must not contain.
+/// The face a direction falls on.
 #[inline(always)]
-#[must_use]
-pub fn project_box(low: Vec3, high: Vec3) -> ([FaceRectangle; 6], usize) {
-    let mut rectangles = [FaceRectangle::default(); 6];
-    let center = low + high;
-    let (face, ..) = CubeFace::from_direction(center);
-    if let Some(main) = project_on_face(low, high, face) {
-        rectangles[0] = main;
-        // Strictly inside one face: the common case by far.
-        if main.u0 > -1.0 && main.u1 < 1.0 && main.v0 > -1.0 && main.v1 < 1.0 {
-            return (rectangles, 1);
-        }
-    }
-    project_on_all(low, high)
+fn main_face(d: Vec3) -> CubeFace {
+    let a = d.abs();
+    let yz = if a.y >= a.z { (2, d.y, a.y) } else { (4, d.z, a.z) };
+    let (base, along, _) = if a.x >= yz.2 { (0, d.x, a.x) } else { yz };
+    CubeFace(base + u8::from(along < 0.0))
 }
 
-#[inline(never)]
-fn project_on_all(low: Vec3, high: Vec3) -> ([FaceRectangle; 6], usize) {
-    let mut rectangles = [FaceRectangle::default(); 6];
-    let mut count = 0;
-    for face in CubeFace::ALL {
-        if let Some(rectangle) = project_on_face(low, high, face) {
-            rectangles[count] = rectangle;
-            count += 1;
+/// Visits the rectangles of the box `low..=high` on all faces it reaches, at most six. The box is given
+/// relative to the cube's center, which it must not contain.
+#[inline(always)]
+pub(crate) fn project_box(low: Vec3, high: Vec3, mut visit: impl FnMut(&FaceRectangle)) {
+    if let Some(main) = project_on_face(low, high, main_face(low + high)) {
+        // Strictly inside one face: the common case by far.
+        if main.u0 > -1.0 && main.u1 < 1.0 && main.v0 > -1.0 && main.v1 < 1.0 {
+            visit(&main);
+            return;
         }
     }
-    (rectangles, count)
+    for face in CubeFace::ALL {
+        if let Some(rectangle) = project_on_face(low, high, face) {
+            visit(&rectangle);
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn rectangles(low: Vec3, high: Vec3) -> Vec<FaceRectangle> {
+        let mut rectangles = Vec::new();
+        project_box(low, high, |r| rectangles.push(*r));
+        rectangles
+    }
 
     /// Directions toward random points of the box.
     fn points(low: Vec3, high: Vec3) -> impl Iterator<Item = Vec3> {
@@ -99,10 +104,10 @@ mod tests {
             (Vec3::new(0.1, -5.0, -5.0), Vec3::new(0.2, 5.0, 5.0)),
         ];
         for (low, high) in boxes {
-            let (rectangles, count) = project_box(low, high);
+            let rectangles = rectangles(low, high);
             for p in points(low, high) {
                 let (face, u, v) = CubeFace::from_direction(p);
-                let inside = rectangles[..count].iter().any(|r| {
+                let inside = rectangles.iter().any(|r| {
                     let e = 1e-5;
                     r.face == face.0
                         && (r.u0 - e..=r.u1 + e).contains(&u)
@@ -116,8 +121,8 @@ mod tests {
     #[test]
     fn flat_boxes_facing_the_center_are_their_rectangles() {
         let (low, high) = (Vec3::new(-0.5, -0.5, -2.0), Vec3::new(0.5, 0.5, -2.0));
-        let (rectangles, count) = project_box(low, high);
-        assert_eq!(count, 1);
+        let rectangles = rectangles(low, high);
+        assert_eq!(rectangles.len(), 1);
         let r = rectangles[0];
         assert_eq!((r.u0, r.u1, r.v0, r.v1), (-0.25, 0.25, -0.25, 0.25));
     }

@@ -13,7 +13,6 @@ mod table;
 mod window;
 
 pub use cube::{CubeRaster, Footprint, Ink, SHAPES_MAX, TexelChunk};
-pub use footprint::{FaceRectangle, project_box};
 pub use lanes::{Lanes, SAMPLES};
 pub use samples::Veil;
 pub use shape::{Disk, Section, Shape};

@@ -19,12 +19,11 @@ pub trait Shape: Copy {
 
 /// A vector in the coordinates (depth, u, v) of a face.
 #[inline(always)]
-fn turn(p: Vec3, face: CubeFace) -> Vec3 {
-    match face.axis() {
-        0 => Vec3::new(p.x * face.sign(), p.y, p.z),
-        1 => Vec3::new(p.y * face.sign(), p.z, p.x),
-        _ => Vec3::new(p.z * face.sign(), p.x, p.y),
-    }
+pub(crate) fn turn(p: Vec3, face: CubeFace) -> Vec3 {
+    // Read from a ring: which axis it is cannot be predicted, a branch would cost more.
+    let ring = [p.x, p.y, p.z, p.x, p.y, 0.0];
+    let axis = face.axis() & 3;
+    Vec3::new(ring[axis] * face.sign(), ring[axis + 1], ring[axis + 2])
 }
 
 /// The part of a plane inside a box, relative to the receiver.
