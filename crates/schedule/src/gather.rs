@@ -36,7 +36,7 @@ pub struct GatherSettings {
 impl Default for GatherSettings {
     fn default() -> Self {
         Self {
-            solid_angle_sr: 0.03,
+            solid_angle_sr: 0.1,
             raster_edge: 8,
             bias: 0.4,
             up: Vec3::Y,
