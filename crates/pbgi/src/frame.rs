@@ -1,8 +1,10 @@
 //! A picture: what a camera sees, shaded, as an image with many channels.
 
 use crate::camera_choice::{CameraChoice, CameraContext};
+use crate::interpolate::Groups;
 use crate::memory_split::MemorySplit;
 use crate::output::FrameImage;
+use crate::progress::Phase;
 use crate::shade::{Session, ShadeReport, ShadeSettings, read_header, up_axis};
 use crate::splat::hide_surfels;
 use crate::{PbgiError, Progress};
@@ -12,7 +14,7 @@ use pbgi_image::{
 };
 use pbgi_math::{DVec3, Vec3};
 use pbgi_scene::{CameraView, Coverage, HideOptions, Micropolygon, PixelWindow, Scene, hide};
-use pbgi_schedule::{Receiver, Shading};
+use pbgi_schedule::{GatherParts, Receiver, Shading};
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -36,6 +38,9 @@ pub struct FrameRequest<'a> {
     pub samples: u32,
     /// Wanted area of a micropolygon in pixels.
     pub shading_rate: f32,
+    /// Edge in pixels of the blocks in which pieces share gathers of broad light, 0 to 64; with 0 each piece gathers for
+    /// itself. Pictures without a scene do not share.
+    pub share_pixels: u32,
     /// Channels to make.
     pub aovs: Vec<Aov>,
     /// Names of the channels.
@@ -160,6 +165,12 @@ pub fn shade_frame(
     cancel: &AtomicBool,
 ) -> Result<Frame, PbgiError> {
     request.settings.validate()?;
+    if request.share_pixels > 64 {
+        return Err(PbgiError::usage(format!(
+            "the blocks of shared gathers have {} pixels, expected 0 to 64",
+            request.share_pixels
+        )));
+    }
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(request.settings.threads)
         .build()
@@ -182,6 +193,9 @@ struct FrameJob<'a> {
     cancel: &'a AtomicBool,
     start: Instant,
 }
+
+/// Rows around a band in which groups of pieces may reach into it: two of the largest blocks, and whole tiles.
+const AROUND_ROWS: u32 = 2 * 64;
 
 /// Rows of a tile of hiding: bands of whole tiles shade nothing twice.
 const TILE_ROWS: u32 = 64;
@@ -241,12 +255,16 @@ impl<'a> FrameJob<'a> {
             let window = PixelWindow { x: 0, y, width: self.request.width, height };
             let phase = progress.start_phase("hide", "rows", Some(u64::from(height)));
             let visible = self.hide(window)?;
+            let around = self.hide_around(window)?;
             phase.set_done(u64::from(height));
             drop(phase);
             seen.count(&visible);
             let count = visible.pieces.len() as u64;
             let phase = progress.start_phase("shade", "receivers", Some(count));
-            let shadings = self.shade(&visible, &|done| phase.set_done(done))?;
+            let shadings = match around {
+                Some(around) => self.shade_shared(&visible, &around, &phase)?,
+                None => self.shade(&visible, &|done| phase.set_done(done))?,
+            };
             drop(phase);
             let background = self.session.environment.as_ref();
             image.append(&visible, &shadings, background, &self.view, self.origin);
@@ -268,6 +286,54 @@ impl<'a> FrameJob<'a> {
         let visible = hide(scene, &self.view, &options)?;
         let pieces = visible.micropolygons.iter().map(Piece::from).collect();
         Ok(Band { pieces, ids: Vec::new(), coverage: visible.coverage })
+    }
+
+    /// What is visible in the window and in the rows around it, where pieces share gathers: groups at a band's
+    /// border need all their members.
+    fn hide_around(&self, window: PixelWindow) -> Result<Option<Vec<Piece>>, PbgiError> {
+        if self.request.scene.is_none() || self.request.share_pixels == 0 {
+            return Ok(None);
+        }
+        let y = window.y.saturating_sub(AROUND_ROWS);
+        let end = (window.y + window.height + AROUND_ROWS).min(self.request.height);
+        Ok(Some(self.hide(PixelWindow { y, height: end - y, ..window })?.pieces))
+    }
+
+    /// Shades the pieces of a band, which share gathers with those visible around them.
+    fn shade_shared(
+        &mut self,
+        band: &Band,
+        around: &[Piece],
+        phase: &Phase<'_>,
+    ) -> Result<Vec<Shading>, PbgiError> {
+        let shift = self.origin - self.header.origin;
+        let receiver = |position: Vec3, normal: Vec3| Receiver {
+            position: (position.as_dvec3() + shift).as_vec3(),
+            normal,
+        };
+        let groups = Groups::new(around, &self.view, self.request.share_pixels);
+        let (leaders, places) = groups.needed(&band.pieces);
+        let leaders: Vec<Receiver> = leaders.iter().map(|l| receiver(l.0, l.1)).collect();
+        // Progress counts pieces: most of the work is in the leaders.
+        let total = band.pieces.len() as u64;
+        let broad_share = |done: u64| done * total * 3 / (4 * leaders.len().max(1) as u64);
+        let advance = |done: u64| phase.set_done(broad_share(done));
+        let broad = self.session.gather(&leaders, GatherParts::Broad, &advance)?;
+        let receivers: Vec<Receiver> =
+            band.pieces.iter().map(|p| receiver(p.position, p.normal)).collect();
+        let advance = |done: u64| phase.set_done(total * 3 / 4 + done / 4);
+        let mut shadings = self.session.gather(&receivers, GatherParts::Peaks, &advance)?;
+        for (shading, piece) in shadings.iter_mut().zip(&band.pieces) {
+            let mut mean = groups.interpolate(piece, &broad, &places);
+            for (sum, peak) in
+                mean.environment_irradiance.iter_mut().zip(shading.environment_irradiance)
+            {
+                *sum += peak;
+            }
+            *shading = mean;
+        }
+        self.session.count(&receivers, None, &shadings);
+        Ok(shadings)
     }
 
     /// Shades the pieces of a band. Surfels that an earlier band has shown are not shaded again.
@@ -385,6 +451,7 @@ mod tests {
             height: 150,
             samples: 4,
             shading_rate: 4.0,
+            share_pixels: 0,
             aovs: FRAME_AOVS.to_vec(),
             names: AovNames::default(),
             settings: ShadeSettings {
@@ -410,8 +477,8 @@ mod tests {
         let (progress, cancel) = (Progress::silent(), AtomicBool::new(false));
         bake(&bake_request, &progress, &cancel).unwrap();
         let scene = load_scene("demo:cornell").unwrap();
-        for scene in [Some(&scene), None] {
-            let request = request(&octree, scene);
+        for (scene, share_pixels) in [(Some(&scene), 0), (Some(&scene), 5), (None, 0)] {
+            let request = FrameRequest { share_pixels, ..request(&octree, scene) };
             let make = |band_rows: u32| {
                 let mut job = FrameJob::prepare(&request, &cancel).unwrap();
                 assert_eq!(job.band_rows, 192);

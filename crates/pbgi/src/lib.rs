@@ -17,6 +17,7 @@ mod error;
 mod frame;
 mod input;
 mod inspect;
+mod interpolate;
 mod memory;
 mod memory_split;
 mod output;

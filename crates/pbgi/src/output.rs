@@ -247,6 +247,7 @@ pub(crate) fn frame_attributes(
         ("pbgi:raster".to_owned(), Int(settings.raster_edge as i32)),
         ("pbgi:bias".to_owned(), Float(settings.bias)),
         ("pbgi:samples".to_owned(), Int(request.samples as i32)),
+        ("pbgi:share".to_owned(), Int(request.share_pixels as i32)),
         ("pbgi:shadingRate".to_owned(), Float(request.shading_rate)),
         ("pbgi:receivers".to_owned(), Text(report.receivers.to_string())),
         ("pbgi:cutSizeMean".to_owned(), Float(report.cut_mean as f32)),

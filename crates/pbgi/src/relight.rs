@@ -224,7 +224,7 @@ impl<'a> RelitStream<'a> {
             }
             let len = cell_len(rest, self.previous, most);
             self.previous = Some(rest[len - 1].0);
-            shared.add_cell(&rest[..len]);
+            shared.add_cell(&rest[..len], most);
         }
     }
 

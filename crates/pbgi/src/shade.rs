@@ -11,7 +11,7 @@ use pbgi_image::read_environment;
 use pbgi_light::{Environment, EnvironmentOptions, UpAxis};
 use pbgi_math::Vec3;
 use pbgi_schedule::{
-    GatherSettings, PreparedLight, Receiver, ShadeOptions, Shading, shade_receivers,
+    GatherParts, GatherSettings, PreparedLight, Receiver, ShadeOptions, Shading, shade_receivers,
 };
 use pbgi_store::{Backend, CacheStats, Octree, OpenOptions};
 use serde::Serialize;
@@ -258,11 +258,32 @@ impl<'a> Session<'a> {
         ids: Option<&[u64]>,
         advance: &(dyn Fn(u64) + Sync),
     ) -> Result<Vec<Shading>, PbgiError> {
+        let shadings = self.gather(receivers, GatherParts::All, advance)?;
+        self.count(receivers, ids, &shadings);
+        Ok(shadings)
+    }
+
+    /// Counts receivers as shaded and offers them to the check. `ids` as for [`Self::shade`].
+    pub fn count(&mut self, receivers: &[Receiver], ids: Option<&[u64]>, shadings: &[Shading]) {
+        for (offset, (receiver, shading)) in receivers.iter().zip(shadings).enumerate() {
+            let id = ids.map_or(self.receivers + offset as u64, |ids| ids[offset]);
+            self.sample.offer(id, receiver, shading);
+        }
+        self.receivers += receivers.len() as u64;
+    }
+
+    /// Gathers some of the light for `receivers`, not counting them as shaded.
+    pub fn gather(
+        &mut self,
+        receivers: &[Receiver],
+        parts: GatherParts,
+        advance: &(dyn Fn(u64) + Sync),
+    ) -> Result<Vec<Shading>, PbgiError> {
         let mut shadings = Vec::with_capacity(receivers.len());
         for (number, chunk) in receivers.chunks(CHUNK_RECEIVERS).enumerate() {
             let before = (number * CHUNK_RECEIVERS) as u64;
             let options = ShadeOptions {
-                gather: self.gather,
+                gather: GatherSettings { parts, ..self.gather },
                 threads: self.threads,
                 cancel: self.cancel,
                 progress: &|done| advance(before + done),
@@ -271,12 +292,6 @@ impl<'a> Session<'a> {
                 shade_receivers(&self.octree, self.light.as_ref(), chunk, &options)?;
             self.cut.add(&report.cut);
             self.seconds += report.seconds;
-            for (offset, (receiver, shading)) in chunk.iter().zip(&part).enumerate() {
-                let number = self.receivers + offset as u64;
-                let id = ids.map_or(number, |ids| ids[before as usize + offset]);
-                self.sample.offer(id, receiver, shading);
-            }
-            self.receivers += chunk.len() as u64;
             shadings.extend(part);
         }
         Ok(shadings)

@@ -7,7 +7,11 @@ use pbgi_cloud::Surfel;
 use pbgi_math::{MORTON_AXIS_BITS, MortonCode, Vec3};
 
 /// Cosine between normals above which surfels may lie on one surface.
-const SAME_SURFACE_COSINE: f32 = 0.9;
+const SAME_SURFACE_COSINE: f32 = 0.8;
+
+/// How far from a common plane surfels of one surface may lie, in radii per square root of how many may share: half the
+/// extent of as many surfels side by side.
+const SAME_PLANE_RADII: f32 = 0.5;
 
 /// The surfels gathered for, and who shares with whom.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -45,7 +49,10 @@ pub(crate) fn cell_len(
 impl Shared {
     /// Adds the surfels of one cell: those on one surface share the gather of the one nearest to
     /// their middle.
-    pub fn add_cell(&mut self, cell: &[(MortonCode, Surfel)]) {
+    ///
+    /// `most` is how many may share.
+    pub fn add_cell(&mut self, cell: &[(MortonCode, Surfel)], most: usize) {
+        let radii = (SAME_PLANE_RADII * (most as f32).sqrt()).max(1.0);
         let first = self.place.len() as u32;
         const NONE: u32 = u32::MAX;
         self.place.resize(self.place.len() + cell.len(), NONE);
@@ -55,7 +62,7 @@ impl Shared {
             }
             let is_member = |&i: &usize| {
                 self.place[first as usize + i] == NONE
-                    && are_on_one_surface(&cell[leader].1, &cell[i].1)
+                    && are_on_one_surface(&cell[leader].1, &cell[i].1, radii)
             };
             let members: Vec<usize> = (leader..cell.len()).filter(is_member).collect();
             let place = self.chosen.len() as u32;
@@ -67,9 +74,9 @@ impl Shared {
     }
 }
 
-/// Whether both face the same way and lie in one plane, give or take a radius. A surfel is on one
+/// Whether both face the same way and lie in one plane, give or take so many radii. A surfel is on one
 /// surface with itself.
-fn are_on_one_surface(a: &Surfel, b: &Surfel) -> bool {
+fn are_on_one_surface(a: &Surfel, b: &Surfel, radii: f32) -> bool {
     if a.flags != b.flags {
         return false;
     }
@@ -78,7 +85,7 @@ fn are_on_one_surface(a: &Surfel, b: &Surfel) -> bool {
         return true;
     }
     let normal = a.normal();
-    offset.dot(normal).abs() <= a.radius && normal.dot(b.normal()) >= SAME_SURFACE_COSINE
+    offset.dot(normal).abs() <= radii * a.radius && normal.dot(b.normal()) >= SAME_SURFACE_COSINE
         || offset == Vec3::ZERO && a.normal_code == b.normal_code
 }
 
@@ -148,7 +155,7 @@ mod tests {
         surfels.extend(plane(4).iter().map(|s| Surfel::new(s.center(), Vec3::NEG_Y, 0.7, 1.0)));
         let surfels = coded(surfels);
         let mut shared = Shared::default();
-        shared.add_cell(&surfels);
+        shared.add_cell(&surfels, 4);
         assert_eq!(shared.chosen.len(), 3);
         for (i, place) in shared.place.iter().enumerate() {
             let (own, other) = (&surfels[i].1, &surfels[shared.chosen[*place as usize] as usize].1);

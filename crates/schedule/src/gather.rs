@@ -4,18 +4,30 @@ use crate::light::{PreparedLight, PreparedPeak};
 use crate::receiver::{Receiver, Shading};
 use pbgi_brdf::{ConvolutionTable, convolve_diffuse};
 use pbgi_cut::{
-    Cluster, CutReceiver, CutScratch, CutStats, CutVisitor, Piece, SurfelSeen,
-    UniformThreshold, pick_cut,
+    Cluster, CutReceiver, CutScratch, CutStats, CutVisitor, Piece, SurfelSeen, UniformThreshold,
+    pick_cut,
 };
 use pbgi_format::LeafSurfel;
 use pbgi_math::{Aabb, Vec3};
 use pbgi_raster::{
-    CubeRaster, CubeRasterTable, Disk, Footprint, Ink, Lanes, SHAPES_MAX, Section, SimdLevel, Veil, WideKernel, Window,
-    WindowRaster, run_wide,
+    CubeRaster, CubeRasterTable, Disk, Footprint, Ink, Lanes, SHAPES_MAX, Section, SimdLevel, Veil,
+    WideKernel, Window, WindowRaster, run_wide,
 };
 use pbgi_store::{Reader, StoreError};
 use std::f32::consts::FRAC_1_PI;
 use std::marker::PhantomData;
+
+/// Which light a gather looks for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum GatherParts {
+    /// All of it.
+    #[default]
+    All,
+    /// What the cube raster holds: surfaces and the environment without its peaks.
+    Broad,
+    /// The environment's peaks alone: sun and lamps, with sharp shadows.
+    Peaks,
+}
 
 /// Quality of a gather.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,6 +39,8 @@ pub struct GatherSettings {
     /// Surfels that rise less than this share of their radius above the receiver's tangent plane
     /// are its own surface.
     pub bias: f32,
+    /// Which light is looked for; what is not is 0.
+    pub parts: GatherParts,
     /// Unit direction of the sky, for `sky_visibility`.
     pub up: Vec3,
     /// The instructions to use.
@@ -39,6 +53,7 @@ impl Default for GatherSettings {
             solid_angle_sr: 0.1,
             raster_edge: 8,
             bias: 0.4,
+            parts: GatherParts::All,
             up: Vec3::Y,
             simd: SimdLevel::detect(),
         }
@@ -116,6 +131,25 @@ impl<'a> Gatherer<'a> {
             bias: 0.0,
             surfel_bias: self.settings.bias,
         };
+        let mut shading = Shading::default();
+        if self.settings.parts != GatherParts::Peaks {
+            shading = self.gather_broad::<L>(&cut_receiver)?;
+        }
+        if self.settings.parts != GatherParts::Broad {
+            for peak in self.light.map_or(&[][..], |l| &l.peaks) {
+                let irradiance = self.gather_peak::<L>(peak, &cut_receiver)?;
+                for (sum, part) in shading.environment_irradiance.iter_mut().zip(irradiance) {
+                    *sum += part;
+                }
+            }
+        }
+        shading.cut_size = (self.stats.cut_size() - before) as u32;
+        Ok(shading)
+    }
+
+    /// Everything but peaks: the cut drawn into the cube, over the environment's base.
+    #[inline(always)]
+    fn gather_broad<L: Lanes>(&mut self, receiver: &CutReceiver) -> Result<Shading, StoreError> {
         self.raster.clear::<L>(receiver.normal);
         let mut visitor = CubeVisitor::<L> {
             raster: &mut self.raster,
@@ -125,7 +159,7 @@ impl<'a> Gatherer<'a> {
         };
         pick_cut(
             &mut self.reader,
-            &cut_receiver,
+            receiver,
             &self.threshold,
             &mut visitor,
             &mut self.scratch,
@@ -134,20 +168,13 @@ impl<'a> Gatherer<'a> {
         let base = self.light.map(|l| &l.base);
         let diffuse =
             convolve_diffuse(&self.raster, &self.table, base, receiver.normal, self.settings.up);
-        let mut environment_irradiance = diffuse.environment_irradiance;
-        for peak in self.light.map_or(&[][..], |l| &l.peaks) {
-            let irradiance = self.gather_peak::<L>(peak, &cut_receiver)?;
-            for (sum, part) in environment_irradiance.iter_mut().zip(irradiance) {
-                *sum += part;
-            }
-        }
         Ok(Shading {
             surface_irradiance: diffuse.surface_irradiance,
-            environment_irradiance,
+            environment_irradiance: diffuse.environment_irradiance,
             ambient_occlusion: diffuse.ambient_occlusion,
             sky_visibility: diffuse.sky_visibility,
             bent_normal: diffuse.bent_normal,
-            cut_size: (self.stats.cut_size() - before) as u32,
+            cut_size: 0,
         })
     }
 

@@ -9,7 +9,7 @@ mod light;
 mod receiver;
 mod shade;
 
-pub use gather::{GatherSettings, Gatherer};
+pub use gather::{GatherParts, GatherSettings, Gatherer};
 pub use light::PreparedLight;
 pub use receiver::{Receiver, Shading};
 pub use shade::{ScheduleError, ShadeOptions, ShadeReport, shade_receivers};

@@ -45,12 +45,18 @@ struct DemoArgs {
 /// Columns of the sky's image; it is half as high.
 const SKY_COLUMNS: usize = 2048;
 
+/// Edge of the blocks of the picture in which surfaces share gathers of broad light.
+const SHARE_PIXELS: u32 = 4;
+
 /// Neighbors on one surface that share a gather when the surfels are lit: their light is only seen
 /// reflected by others.
-const SHARE: usize = 16;
+const SHARE: usize = 256;
+
+/// Largest solid angle of a node where surfels are lit.
+const BAKE_SOLID_ANGLE_SR: f32 = 1.0;
 
 /// Receivers of which the error is measured.
-const CHECK_RECEIVERS: usize = 200;
+const CHECK_RECEIVERS: usize = 64;
 
 fn main() -> ExitCode {
     let args = DemoArgs::parse();
@@ -82,7 +88,7 @@ impl Demo {
             } else {
                 args.resolution
             },
-            shading_rate: if args.quick { 2.0 } else { 1.5 },
+            shading_rate: 2.0,
             common: args.common,
             progress: args.common.start_progress(6),
         })
@@ -108,6 +114,7 @@ impl Demo {
             height: self.resolution[1],
             samples: 8,
             shading_rate: self.shading_rate,
+            share_pixels: SHARE_PIXELS,
             aovs: FRAME_AOVS.to_vec(),
             names: Default::default(),
             settings: ShadeSettings {
@@ -138,6 +145,7 @@ impl Demo {
             light: LightRequest {
                 environment: Some(EnvironmentSpec::from_file(sky)),
                 share: SHARE,
+                solid_angle_sr: BAKE_SOLID_ANGLE_SR,
                 ..LightRequest::default()
             },
             memory_limit: self.common.memory_limit,

@@ -79,6 +79,9 @@ pub struct ViewArgs {
     /// Area of a micropolygon in pixels
     #[arg(long, value_name = "PIXELS", default_value_t = 1.0)]
     pub shading_rate: f32,
+    /// Pixels of blocks in which surfaces share gathers of broad light; 0 shares nothing
+    #[arg(long, value_name = "PIXELS", default_value_t = 0)]
+    pub share: u32,
 }
 
 impl ViewArgs {

@@ -80,6 +80,7 @@ fn picture(
         height: args.view.resolution[1],
         samples: args.view.samples,
         shading_rate: args.view.shading_rate,
+        share_pixels: args.view.share,
         aovs,
         names: args.output_options.names(),
         settings,
