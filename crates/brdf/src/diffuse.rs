@@ -213,12 +213,8 @@ mod tests {
         type Output = ();
 
         fn run<L: Lanes>(self) {
-            let ink = Ink {
-                veil: Veil::OPAQUE,
-                solid_angle: 1.0,
-                radiance: [3.0; 3],
-                tolerance: 0.01,
-            };
+            let ink =
+                Ink { veil: Veil::OPAQUE, solid_angle: 1.0, radiance: [3.0; 3], tolerance: 0.01 };
             self.0.clear::<L>(self.1);
             for &(inverse, low, high) in self.2 {
                 let footprint = self.0.footprint(low, high);

@@ -189,9 +189,7 @@ impl CubeRaster {
                         0
                     } else {
                         let (x, y) = (self.sample_columns::<L>(column), self.sample_rows::<L>(row));
-                        let height = L::splat(na)
-                            .add(L::splat(nu).mul(x))
-                            .add(L::splat(nv).mul(y));
+                        let height = L::splat(na).add(L::splat(nu).mul(x)).add(L::splat(nv).mul(y));
                         !L::bits(height.le(L::splat(0.0)))
                     };
                     bits |= u64::from(above != 0) << column;
@@ -283,7 +281,8 @@ impl CubeRaster {
                 let ink = &shapes[usize::from(hit.shape)].1;
                 let above = self.texels[hit.index as usize].above.count_ones() as f32;
                 let samples = if ink.solid_angle < SMALL_SR {
-                    let per_sample = ink.solid_angle * self.inverse_solid_angles[hit.index as usize]
+                    let per_sample = ink.solid_angle
+                        * self.inverse_solid_angles[hit.index as usize]
                         / met[usize::from(hit.shape)] as f32;
                     hit.visible.count_ones() as f32 * per_sample * SAMPLES as f32
                 } else {
@@ -377,9 +376,7 @@ impl CubeRaster {
         let index = (usize::from(face.0) * self.n + row) * self.stride + column;
         let (x, y) = (self.sample_columns::<L>(column), self.sample_rows::<L>(row));
         let inverse = shape.turned(face).inverse();
-        let w = L::splat(inverse.x)
-            .add(L::splat(inverse.y).mul(x))
-            .add(L::splat(inverse.z).mul(y));
+        let w = L::splat(inverse.x).add(L::splat(inverse.y).mul(x)).add(L::splat(inverse.z).mul(y));
         let texel = self.texels[index];
         let nearer = w.mul(L::splat(1.0 + ink.tolerance)).le(L::load(&self.depths[index]));
         let visible = texel.above & !(texel.covered & L::bits(nearer));
@@ -421,8 +418,7 @@ impl CubeRaster {
             let texel = &self.texels[index * LANES + lane];
             chunk.covered[lane] = 1.0 - self.openness(index * LANES + lane);
             let light = &self.lights[index * LANES + lane];
-            let radiance =
-                if texel.covered == ALL { light.made_whole() } else { light.radiance };
+            let radiance = if texel.covered == ALL { light.made_whole() } else { light.radiance };
             for (plane, light) in chunk.radiance.iter_mut().zip(radiance) {
                 plane[lane] = light;
             }

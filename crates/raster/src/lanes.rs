@@ -145,10 +145,7 @@ pub(crate) mod x86 {
         #[inline(always)]
         fn le(self, o: Self) -> Self::Mask {
             unsafe {
-                (
-                    _mm256_cmp_ps::<_CMP_LE_OQ>(self.0, o.0),
-                    _mm256_cmp_ps::<_CMP_LE_OQ>(self.1, o.1),
-                )
+                (_mm256_cmp_ps::<_CMP_LE_OQ>(self.0, o.0), _mm256_cmp_ps::<_CMP_LE_OQ>(self.1, o.1))
             }
         }
         #[inline(always)]

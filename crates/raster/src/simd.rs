@@ -77,11 +77,7 @@ mod x86 {
     }
 
     pub(super) fn has_avx512() -> bool {
-        has_avx2()
-            && has!("avx512f")
-            && has!("avx512bw")
-            && has!("avx512dq")
-            && has!("avx512vl")
+        has_avx2() && has!("avx512f") && has!("avx512bw") && has!("avx512dq") && has!("avx512vl")
     }
 
     pub(super) fn run_avx2<K: WideKernel>(kernel: K) -> K::Output {
@@ -101,9 +97,7 @@ mod x86 {
         kernel.run::<Avx2>()
     }
 
-    #[target_feature(
-        enable = "avx2,bmi1,bmi2,popcnt,lzcnt,avx512f,avx512bw,avx512dq,avx512vl"
-    )]
+    #[target_feature(enable = "avx2,bmi1,bmi2,popcnt,lzcnt,avx512f,avx512bw,avx512dq,avx512vl")]
     fn compiled_avx512<K: WideKernel>(kernel: K) -> K::Output {
         kernel.run::<Avx512>()
     }

@@ -76,4 +76,3 @@ impl CubeRasterTable {
         index / n * self.stride + index % n
     }
 }
-

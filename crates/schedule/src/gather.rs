@@ -4,14 +4,14 @@ use crate::light::{PreparedLight, PreparedPeak};
 use crate::receiver::{Receiver, Shading};
 use pbgi_brdf::{ConvolutionTable, convolve_diffuse};
 use pbgi_cut::{
-    Cluster, CutReceiver, CutScratch, CutStats, CutVisitor, Piece, SurfelSeen,
-    UniformThreshold, pick_cut,
+    Cluster, CutReceiver, CutScratch, CutStats, CutVisitor, Piece, SurfelSeen, UniformThreshold,
+    pick_cut,
 };
 use pbgi_format::LeafSurfel;
 use pbgi_math::{Aabb, Vec3};
 use pbgi_raster::{
-    CubeRaster, CubeRasterTable, Disk, Footprint, Ink, Lanes, SHAPES_MAX, Section, SimdLevel, Veil, WideKernel, Window,
-    WindowRaster, run_wide,
+    CubeRaster, CubeRasterTable, Disk, Footprint, Ink, Lanes, SHAPES_MAX, Section, SimdLevel, Veil,
+    WideKernel, Window, WindowRaster, run_wide,
 };
 use pbgi_store::{Reader, StoreError};
 use std::f32::consts::FRAC_1_PI;
