@@ -5,7 +5,7 @@ use super::lattice::{Cell, Lattice, Lattices};
 use super::surface::{Shade, Surface, TriangleSurface};
 use crate::{Instance, Mesh, Scene};
 use pbgi_cloud::{Surfel, SurfelFlags};
-use pbgi_math::{Affine3A, DVec3, encode_octahedral};
+use pbgi_math::{Affine3A, DVec3, encode_octahedral24};
 
 /// An instance with its mesh and material.
 #[derive(Clone, Copy)]
@@ -106,8 +106,11 @@ impl<'a> InstanceView<'a> {
         let surface = self.surface.triangle(index, triangle.area);
         let flags = if self.two_sided { SurfelFlags::FRONT_ONLY } else { SurfelFlags::default() };
         let normal = triangle.normal.as_vec3();
-        let side =
-            |normal| Surfel { normal_code: encode_octahedral(normal), flags, ..Surfel::default() };
+        let side = |normal| Surfel {
+            orientation: encode_octahedral24(normal),
+            flags,
+            ..Surfel::default()
+        };
         let mut diced = DicedTriangle {
             lattices,
             surface,
