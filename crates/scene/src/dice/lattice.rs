@@ -9,6 +9,9 @@ const STEPS_MAX: u64 = 1 << 31;
 /// more: equal edges of neighboring triangles, unequal by rounding, take equal steps.
 const STEP_SLACK: f64 = 1e-3;
 
+/// Largest cosine between a cell's edges with which it is drawn as a rectangle: 30° off the right angle, and some rounding.
+const SKEW_COSINE_MAX: f64 = 0.5 + 1e-6;
+
 /// A corner of a piece of a triangle.
 #[derive(Clone, Copy, Debug, Default)]
 struct Corner {
@@ -34,6 +37,17 @@ pub(super) struct Lattice {
     cell_area: f64,
     /// Covering radius of a whole cell: half its longer diagonal.
     cell_radius: f64,
+    /// The rectangle whole cells are drawn as, if they are near one.
+    rectangle: Option<Rectangle>,
+}
+
+/// A rectangle with the area of a whole cell.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Rectangle {
+    /// Along its long edge.
+    pub direction: DVec3,
+    /// Long over short edge.
+    pub aspect: f64,
 }
 
 /// One micropolygon of a lattice.
@@ -49,7 +63,8 @@ pub(super) struct Cell {
     pub radius: f64,
     column: u64,
     row: u64,
-    whole: bool,
+    /// A whole parallelogram of the lattice.
+    pub whole: bool,
 }
 
 /// A triangle as one or two lattices.
@@ -108,6 +123,19 @@ impl Corner {
     }
 }
 
+impl Rectangle {
+    /// The rectangle with the longer of two edges and the parallelogram's area: rows of such rectangles along that edge
+    /// cover what rows of parallelograms do. `None` where the edges are too far from a right angle.
+    fn of_parallelogram(u: DVec3, v: DVec3) -> Option<Self> {
+        let long = if u.length_squared() >= v.length_squared() { u } else { v };
+        let (length_squared, area) = (long.length_squared(), u.cross(v).length());
+        let skew =
+            u.dot(v).abs() / (length_squared * u.length_squared().min(v.length_squared())).sqrt();
+        let aspect = length_squared / area;
+        (skew <= SKEW_COSINE_MAX && aspect.is_finite()).then_some(Self { direction: long, aspect })
+    }
+}
+
 impl Lattice {
     fn new([a, b, c]: [Corner; 3], spacing: f64) -> Self {
         let u_steps = count_steps(a.position.distance(b.position), spacing);
@@ -122,7 +150,13 @@ impl Lattice {
             v_steps,
             cell_area: u.position.cross(v.position).length(),
             cell_radius: 0.5 * diagonals[0].length().max(diagonals[1].length()),
+            rectangle: Rectangle::of_parallelogram(u.position, v.position),
         }
+    }
+
+    /// The rectangle whole cells are drawn as, if they are near one.
+    pub fn rectangle(&self) -> Option<Rectangle> {
+        self.rectangle
     }
 
     /// Cells that meet the inside of the triangle: below the diagonal of the m × n grid there are
@@ -396,6 +430,23 @@ pub(super) mod tests {
         let total: f64 = first.1.iter().chain(&second.1).map(|c| c.area).sum();
         let whole = a.cross(b).length() - (first.0.len() + second.0.len()) as f64 * first.0[0].area;
         assert!((total / whole - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn skew_cells_have_no_rectangle() {
+        let v = |degrees: f64| {
+            let (sin, cos) = degrees.to_radians().sin_cos();
+            DVec3::new(cos, sin, 0.0) * 0.5
+        };
+        for (degrees, known) in [(90.0, true), (60.0, true), (120.0, true), (59.0, false)] {
+            let rectangle = Rectangle::of_parallelogram(v(degrees), DVec3::X);
+            assert_eq!(rectangle.is_some(), known, "{degrees}");
+            if let Some(Rectangle { direction, aspect }) = rectangle {
+                assert_eq!(direction, DVec3::X);
+                assert!((1.0 / aspect - 0.5 * degrees.to_radians().sin()).abs() < 1e-12);
+            }
+        }
+        assert!(Rectangle::of_parallelogram(DVec3::ZERO, DVec3::X).is_none());
     }
 
     #[test]

@@ -79,8 +79,8 @@ pub enum DiceError {
 ///
 /// Each triangle is cut by a lattice of parallelograms along the two edges of its largest corner,
 /// with steps of at most the spacing; cells on the third edge are clipped to it. A micropolygon's
-/// surfel lies at its centroid, has exactly its area, a radius that reaches all its vertices, the
-/// triangle's geometric normal, its filtered albedo, and its emission as radiance. Both the areas
+/// surfel lies at its centroid, has exactly its area, a radius that reaches all its vertices, or, of a whole
+/// parallelogram not far from a rectangle, the rectangle of its area and longer edge; the triangle's geometric normal, its filtered albedo, and its emission as radiance. Both the areas
 /// and the disks of all surfels therefore cover each triangle exactly and without holes. Where a
 /// mask cuts holes, the area is scaled by the opaque share, the radius by its root, and what is all
 /// hole is left out.
@@ -231,7 +231,7 @@ impl<'a> Cursor<'a> {
             } else {
                 lattice.clipped_cell(self.column, self.row)
             };
-            triangle.push_surfels(&lattice, &cell, out);
+            triangle.push_surfels(self.piece, &cell, out);
             self.column += 1;
         }
         if self.column == columns {
@@ -413,6 +413,32 @@ mod tests {
         assert!(
             (area_of(&dice(&square, Spacing::Length(0.03), TwoSided::None)) - 1.0).abs() < 1e-6
         );
+    }
+
+    #[test]
+    fn whole_cells_are_rectangles_and_clipped_ones_disks() {
+        let mut mesh = square();
+        mesh.triangles.truncate(1);
+        mesh.positions.iter_mut().for_each(|p| *p = Vec3::new(p.x + 0.1 * p.y, 0.3 * p.y, p.x));
+        let cloth = Material { double_sided: true, ..Material::default() };
+        let surfels = dice(&scene_of(mesh, cloth), Spacing::Length(0.1), TwoSided::Material);
+        // Edges √2 and √0.1 long, 13° off a right angle.
+        let (u, v) = (Vec3::new(1.0, 0.0, 1.0) / 15.0, Vec3::new(0.1, 0.3, 0.0) / 4.0);
+        let long = if u.length() > v.length() { u } else { v };
+        let mut tiles = 0;
+        for surfel in &surfels {
+            let Some([a, b]) = surfel.half_edges() else {
+                assert!(!surfel.tile().is_known());
+                continue;
+            };
+            tiles += 1;
+            let area = u.cross(v).length();
+            assert!((surfel.area / area - 1.0).abs() < 1e-4);
+            assert!((2.0 * a.length() / long.length() - 1.0).abs() < 1e-2);
+            assert!((4.0 * a.length() * b.length() / area - 1.0).abs() < 1e-4);
+            assert!(a.normalize().dot(long.normalize()).abs() > 0.999);
+        }
+        assert!(tiles > 0 && tiles < surfels.len(), "{tiles} of {}", surfels.len());
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! One triangle of an instance, from world positions to surfels.
 
 use super::TwoSided;
-use super::lattice::{Cell, Lattice, Lattices};
+use super::lattice::{Cell, Lattices};
 use super::surface::{Shade, Surface, TriangleSurface};
 use crate::{Instance, Mesh, Scene};
 use pbgi_cloud::{Surfel, SurfelFlags};
@@ -35,6 +35,8 @@ pub(super) struct DicedTriangle<'a> {
     uniform: bool,
     /// Front first; position, size and, unless uniform, color are set per micropolygon.
     sides: [Surfel; 2],
+    /// Of the whole cells of each piece, for each side: orientation, and radius over the root of the area.
+    rectangles: [Option<[(u32, f32); 2]>; 2],
     side_count: usize,
     back_emits: bool,
 }
@@ -111,12 +113,22 @@ impl<'a> InstanceView<'a> {
             flags,
             ..Surfel::default()
         };
+        let sides = [side(normal), side(-normal)];
+        let rectangles = lattices.pieces.map(|piece| {
+            let rectangle = piece.rectangle()?;
+            let (edge, aspect) = (rectangle.direction.as_vec3(), rectangle.aspect as f32);
+            Some(sides.map(|side| {
+                let unit = Surfel { area: 1.0, ..side }.with_tile(edge, aspect);
+                (unit.orientation, unit.radius)
+            }))
+        });
         let mut diced = DicedTriangle {
             lattices,
             surface,
             masked: self.is_masked(),
             uniform: self.surface.is_uniform(),
-            sides: [side(normal), side(-normal)],
+            sides,
+            rectangles,
             side_count: if self.two_sided { 2 } else { 1 },
             back_emits: self.surface.material.double_sided,
         };
@@ -144,10 +156,14 @@ impl DicedTriangle<'_> {
         count
     }
 
-    /// Appends the surfels of `cell`: one, two back to back, or none if it is a hole.
+    /// Appends the surfels of `cell` of a piece: one, two back to back, or none if it is a hole.
     #[inline]
-    pub fn push_surfels(&mut self, lattice: &Lattice, cell: &Cell, out: &mut Vec<Surfel>) {
-        let opaque = if self.masked { self.surface.opaque_fraction(lattice, cell) } else { 1.0 };
+    pub fn push_surfels(&mut self, piece: usize, cell: &Cell, out: &mut Vec<Surfel>) {
+        let opaque = if self.masked {
+            self.surface.opaque_fraction(&self.lattices.pieces[piece], cell)
+        } else {
+            1.0
+        };
         if opaque == 0.0 {
             return;
         }
@@ -159,8 +175,13 @@ impl DicedTriangle<'_> {
         // Slivers may vanish in f32.
         let area = ((cell.area * opaque) as f32).max(f32::MIN_POSITIVE);
         let radius = ((cell.radius * opaque.sqrt()) as f32).max(f32::MIN_POSITIVE);
-        for side in &self.sides[..self.side_count] {
-            out.push(Surfel { position, radius, area, ..*side });
+        let rectangles = self.rectangles[piece].filter(|_| cell.whole);
+        for (k, side) in self.sides[..self.side_count].iter().enumerate() {
+            let (orientation, radius) = match rectangles.map(|sides| sides[k]) {
+                Some((orientation, ratio)) => (orientation, ratio * area.sqrt()),
+                None => (side.orientation, radius),
+            };
+            out.push(Surfel { position, radius, area, orientation, ..*side });
         }
     }
 
