@@ -12,6 +12,12 @@ const STEP_SLACK: f64 = 1e-3;
 /// Largest cosine between a cell's edges with which it is drawn as a rectangle: 30° off the right angle, and some rounding.
 const SKEW_COSINE_MAX: f64 = 0.5 + 1e-6;
 
+/// Most a cell's long edge measures in short edges; where this needs more steps along the long edge, they are added.
+const ASPECT_MAX: f64 = 1.5;
+
+/// ... but not so many that they are shorter than this share of the spacing.
+const SPACING_SHARE_MIN: f64 = 0.25;
+
 /// A corner of a piece of a triangle.
 #[derive(Clone, Copy, Debug, Default)]
 struct Corner {
@@ -138,8 +144,9 @@ impl Rectangle {
 
 impl Lattice {
     fn new([a, b, c]: [Corner; 3], spacing: f64) -> Self {
-        let u_steps = count_steps(a.position.distance(b.position), spacing);
-        let v_steps = count_steps(a.position.distance(c.position), spacing);
+        let (u_length, v_length) =
+            (a.position.distance(b.position), a.position.distance(c.position));
+        let [u_steps, v_steps] = count_lattice_steps([u_length, v_length], spacing);
         let (u, v) = (a.step_to(b, u_steps), a.step_to(c, v_steps));
         let diagonals = [u.position + v.position, u.position - v.position];
         Self {
@@ -298,6 +305,19 @@ fn count_steps(length: f64, spacing: f64) -> u64 {
     ((length / spacing - STEP_SLACK).ceil() as u64).clamp(1, STEPS_MAX)
 }
 
+/// Steps along the two edges of a lattice: at most `spacing` long, and more along the edge where they would be too long for
+/// the steps along the other.
+fn count_lattice_steps(lengths: [f64; 2], spacing: f64) -> [u64; 2] {
+    let steps = lengths.map(|length| count_steps(length, spacing));
+    std::array::from_fn(|k| {
+        let other = lengths[1 - k] / steps[1 - k] as f64;
+        // A float cast saturates, and takes what is not a number to 0.
+        let most = (lengths[k] / (SPACING_SHARE_MIN * spacing) + STEP_SLACK) as u64;
+        let wanted = count_steps(lengths[k], ASPECT_MAX * other);
+        wanted.min(most).clamp(steps[k], STEPS_MAX)
+    })
+}
+
 fn gcd(mut a: u64, mut b: u64) -> u64 {
     while b != 0 {
         (a, b) = (b, a % b);
@@ -447,6 +467,31 @@ pub(super) mod tests {
             }
         }
         assert!(Rectangle::of_parallelogram(DVec3::ZERO, DVec3::X).is_none());
+    }
+
+    #[test]
+    fn long_cells_are_cut_but_not_below_a_quarter_of_the_spacing() {
+        // Neither the spacing nor the aspect asks for more.
+        assert_eq!(count_lattice_steps([1.0, 0.7], 1.0), [1, 1]);
+        assert_eq!(count_lattice_steps([1.0, 0.5], 1.0), [2, 1]);
+        assert_eq!(count_lattice_steps([0.5, 1.0], 1.0), [1, 2]);
+        // A ledge: 0.3 wide, steps of 0.45 at most; a thinner one: quarters.
+        assert_eq!(count_lattice_steps([8.0, 0.3], 1.0), [18, 1]);
+        assert_eq!(count_lattice_steps([8.0, 0.01], 1.0), [32, 1]);
+        assert_eq!(count_lattice_steps([0.01, 0.2], 1.0), [1, 1]);
+        assert_eq!(count_lattice_steps([8.0, 0.01], f64::INFINITY), [1, 1]);
+        assert_eq!(count_lattice_steps([1.0, f64::NAN], 1.0), [1, 1]);
+        let mut next = random(4);
+        for _ in 0..1000 {
+            let (lengths, spacing) = ([next() * 9.0, next() * next()], 0.05 + next());
+            let steps = count_lattice_steps(lengths, spacing);
+            let coarser = count_lattice_steps(lengths, spacing * (1.0 + next()));
+            assert!(steps[0] * steps[1] >= coarser[0] * coarser[1], "{lengths:?} {spacing}");
+            let edges = [0, 1].map(|k| lengths[k] / steps[k] as f64);
+            let (long, short) = (edges[0].max(edges[1]), edges[0].min(edges[1]));
+            // One step less than a quarter would be above it.
+            assert!(long <= (1.51 * short).max(0.5 * spacing) * 1.01, "{lengths:?} {spacing}");
+        }
     }
 
     #[test]
