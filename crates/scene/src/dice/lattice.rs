@@ -1,4 +1,4 @@
-//! The lattice that cuts a triangle into micropolygons.
+//! The lattice that cuts a triangle, or a parallelogram of two, into micropolygons.
 
 use pbgi_math::DVec3;
 
@@ -9,8 +9,8 @@ const STEPS_MAX: u64 = 1 << 31;
 /// more: equal edges of neighboring triangles, unequal by rounding, take equal steps.
 const STEP_SLACK: f64 = 1e-3;
 
-/// Largest cosine between a cell's edges with which it is drawn as a rectangle: 30° off the right angle, and some rounding.
-const SKEW_COSINE_MAX: f64 = 0.5 + 1e-6;
+/// Largest cosine between a cell's edges with which it is drawn as a rectangle, and two triangles are diced as one: 30° off the right angle, and some rounding.
+pub(super) const SKEW_COSINE_MAX: f64 = 0.5 + 1e-6;
 
 /// Most a cell's long edge measures in short edges; where this needs more steps along the long edge, they are added.
 const ASPECT_MAX: f64 = 1.5;
@@ -25,12 +25,12 @@ struct Corner {
     barycentric: DVec3,
 }
 
-/// A triangle, or half of one, under a lattice of parallelograms.
+/// A triangle, half of one, or a parallelogram under a lattice of parallelograms.
 ///
 /// The first corner is the one nearest to a right angle; the lattice has `u_steps` steps along the
 /// edge to the second corner and `v_steps` along the edge to the third. Cell (i, j) is what lies in
 /// the triangle of the parallelogram between steps i..i+1 and j..j+1. Two halves of a parallelogram
-/// get lattices that coincide.
+/// get lattices that coincide. A parallelogram that is diced as one has whole cells only.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Lattice {
     origin: Corner,
@@ -39,6 +39,8 @@ pub(super) struct Lattice {
     v: Corner,
     u_steps: u64,
     v_steps: u64,
+    /// All of the parallelogram, not the half of it with the first corner.
+    full: bool,
     /// Area of a whole cell.
     cell_area: f64,
     /// Covering radius of a whole cell: half its longer diagonal.
@@ -85,12 +87,7 @@ impl Lattices {
     /// 120° and longer than that is first split by the altitude from that corner, so no cell is a
     /// narrow rhomb.
     pub fn new(positions: [DVec3; 3], spacing: f64) -> Self {
-        let corner = |i: usize| Corner {
-            position: positions[i % 3],
-            barycentric: DVec3::from_array(std::array::from_fn(|k| {
-                f64::from(u8::from(k == i % 3))
-            })),
-        };
+        let corner = |i: usize| Corner::of_triangle(positions, i);
         // The angle nearest to 90° is the largest one: opposite the longest edge.
         let opposite = |i: usize| positions[(i + 1) % 3].distance_squared(positions[(i + 2) % 3]);
         let apex = (1..3).fold(0, |best, i| if opposite(i) > opposite(best) { i } else { best });
@@ -107,13 +104,33 @@ impl Lattices {
         Self { pieces, piece_count: 2 }
     }
 
-    /// Micropolygons of the triangle.
+    /// Dices the parallelogram over the edges from corner `apex` of the triangle `positions`; it has this `area`.
+    /// Barycentric coordinates beyond the triangle are outside 0..=1.
+    pub fn of_parallelogram(positions: [DVec3; 3], apex: usize, area: f64, spacing: f64) -> Self {
+        let corners = [0, 1, 2].map(|k| Corner::of_triangle(positions, apex + k));
+        let mut whole = Lattice::new(corners, spacing);
+        whole.full = true;
+        whole.cell_area = area / (whole.u_steps * whole.v_steps) as f64;
+        Self { pieces: [whole, Lattice::default()], piece_count: 1 }
+    }
+
+    /// Micropolygons of the triangle or parallelogram.
     pub fn cell_count(&self) -> u64 {
         self.pieces[..self.piece_count].iter().map(Lattice::cell_count).sum()
     }
 }
 
 impl Corner {
+    /// Corner `i`, modulo 3.
+    fn of_triangle(positions: [DVec3; 3], i: usize) -> Self {
+        Self {
+            position: positions[i % 3],
+            barycentric: DVec3::from_array(std::array::from_fn(|k| {
+                f64::from(u8::from(k == i % 3))
+            })),
+        }
+    }
+
     fn lerp(self, other: Self, t: f64) -> Self {
         Self {
             position: self.position.lerp(other.position, t),
@@ -155,6 +172,7 @@ impl Lattice {
             v,
             u_steps,
             v_steps,
+            full: false,
             cell_area: u.position.cross(v.position).length(),
             cell_radius: 0.5 * diagonals[0].length().max(diagonals[1].length()),
             rectangle: Rectangle::of_parallelogram(u.position, v.position),
@@ -170,6 +188,9 @@ impl Lattice {
     /// (m n + m + n − gcd(m, n)) / 2, for the diagonal crosses m + n − gcd(m, n) cells.
     pub fn cell_count(&self) -> u64 {
         let (m, n) = (self.u_steps, self.v_steps);
+        if self.full {
+            return m * n;
+        }
         (m * n + m + n - gcd(m, n)) / 2
     }
 
@@ -180,11 +201,17 @@ impl Lattice {
 
     /// Cells of `row` that meet the inside of the triangle.
     pub fn column_count(&self, row: u64) -> u64 {
+        if self.full {
+            return self.u_steps;
+        }
         (self.u_steps * (self.v_steps - row)).div_ceil(self.v_steps)
     }
 
     /// How many of them, counted from 0, are whole parallelograms.
     pub fn whole_column_count(&self, row: u64) -> u64 {
+        if self.full {
+            return self.u_steps;
+        }
         self.u_steps * (self.v_steps - row - 1) / self.v_steps
     }
 
