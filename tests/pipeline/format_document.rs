@@ -26,12 +26,14 @@ fn is_blessing() -> bool {
     std::env::var_os("PBGI_BLESS").is_some()
 }
 
-/// Two pieces of floor, a double-sided card, and a point without a normal.
+/// Two oblong pieces of floor, a double-sided card, and a point without a normal.
 fn five_surfels() -> Vec<Surfel> {
+    // 0.25 × 0.125.
     let floor = |x: f32| {
         Surfel::new(Vec3::new(x, 0.0, 0.25), Vec3::Y, 0.125, 0.03125)
             .with_radiance([0.5, 0.25, 0.125])
             .with_albedo([0.75, 0.5, 0.25])
+            .with_tile(Vec3::X, 2.0)
     };
     let card = |normal: Vec3, radiance: f32| {
         Surfel::new(Vec3::splat(0.5), normal, 0.25, 0.125)
@@ -220,8 +222,15 @@ impl<'a> Dump<'a> {
             let cell = |b: &[u8], i: usize| u16_at(b, 2 * i);
             let name = format!("surfel {surfel}: center at");
             self.show(6, |b| format!("{name} ({}, {}, {})", cell(b, 0), cell(b, 1), cell(b, 2)));
-            self.show(4, |b| format!("  normal {}", octahedral(u32_at(b, 0))));
-            self.mini_float(92, "  radius", "isotropic");
+            let tile = self.bytes[self.at + 3];
+            let isotropic = self.bytes[self.at + 5] & 0x80 != 0;
+            self.show(4, |b| match tile {
+                0 => format!("  normal {}", octahedral(u32_at(b, 0))),
+                tile => format!("  normal {}, tile code {tile}", octahedral(u32_at(b, 0))),
+            });
+            let is_tile = tile != 0 && !isotropic;
+            let size = if is_tile { "  half the long edge" } else { "  radius" };
+            self.mini_float(92, size, "isotropic");
             self.mini_float(96, "  area", "front only");
             if rgb {
                 self.shared_exponent("  radiance", self.radiance_scale());
@@ -277,9 +286,13 @@ impl<'a> Dump<'a> {
         self.padding(start + (self.at - start).next_multiple_of(4));
         for lobe in 0..lobes {
             let name = format!("lobe {lobe}: direction of the vector area");
-            self.show(4, |b| format!("{name} {}", octahedral(u32_at(b, 0))));
-            self.mini_float(96, "  its length", "blocks back");
-            self.mini_float(96, "  width", "?");
+            self.show(4, |b| {
+                let direction = octahedral(u32_at(b, 0));
+                format!("{name} {direction}, height {}/127", b[3] as i8)
+            });
+            self.mini_float(96, "  size", "blocks back");
+            self.show(1, |b| format!("  width {}/255", b[0]));
+            self.show(1, |b| format!("  fill {}/255", b[0]));
             if self.is_rgb() {
                 self.shared_exponent("  radiance", self.radiance_scale());
             }
@@ -328,8 +341,8 @@ fn link(code: u32, is_leaf: bool) -> String {
 }
 
 fn octahedral(code: u32) -> String {
-    let axis = |bits: u16| (f64::from(bits as i16) / 32767.0).max(-1.0);
-    let (u, v) = (axis(code as u16), axis((code >> 16) as u16));
+    let axis = |bits: u32| (f64::from((bits << 20) as i32 >> 20) / 2047.0).max(-1.0);
+    let (u, v) = (axis(code), axis(code >> 12));
     let z = 1.0 - u.abs() - v.abs();
     let fold = (-z).max(0.0);
     let (x, y) = (u - fold.copysign(u), v - fold.copysign(v));

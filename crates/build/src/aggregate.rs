@@ -163,7 +163,8 @@ fn reduce_lobes(lobes: &mut Vec<LobeSum>) {
 /// What a node knows of its surfels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NodeAggregate {
-    /// Tight box of the area-true squares: of edge `√area`, so that pieces of a wall tile.
+    /// Tight box of the surfels' rectangles, or where those are not known, of the area-true squares: of edge `√area`, so
+    /// that pieces of a wall tile.
     pub bounds: Aabb,
     /// How far covering disks reach out of `bounds` at most.
     pub cover_margin: f32,
@@ -186,7 +187,11 @@ impl NodeAggregate {
         let mut cover_margin = 0f32;
         for surfel in surfels {
             bounds = bounds.union(area_true_box(surfel));
-            cover_margin = cover_margin.max(surfel.radius - area_true_half_edge(surfel));
+            let inner = match surfel.half_edges() {
+                Some([_, short]) => short.length(),
+                None => area_true_half_edge(surfel),
+            };
+            cover_margin = cover_margin.max(surfel.radius - inner);
         }
         let mut lobes = surfels.iter().map(LobeSum::from_surfel).collect();
         reduce_lobes(&mut lobes);
@@ -232,6 +237,9 @@ fn area_true_box(surfel: &Surfel) -> Aabb {
     let (center, half_edge) = (surfel.center(), area_true_half_edge(surfel));
     if surfel.is_isotropic() {
         Aabb { min: center, max: center }.inflated(half_edge)
+    } else if let Some([long, short]) = surfel.half_edges() {
+        let reach = long.abs() + short.abs();
+        Aabb { min: center - reach, max: center + reach }
     } else {
         Aabb::from_disk(center, surfel.normal(), half_edge)
     }
@@ -331,6 +339,30 @@ mod tests {
         for d in directions(20) {
             assert!((lobe.front_area(d) - 1.5).abs() < 1e-5);
             assert_eq!(lobe.back_area(d), 0.0);
+        }
+    }
+
+    #[test]
+    fn boxes_of_rectangles_are_exact() {
+        // A ledge of 16 oblong pieces of 0.5 × 0.125, turned in its plane.
+        let normal = Vec3::new(0.3, 0.9, -0.4).normalize();
+        let along = normal.cross(Vec3::X).normalize();
+        let across = normal.cross(along);
+        let surfels: Vec<_> = (0..16)
+            .map(|i| {
+                Surfel::new(along * (0.5 * i as f32), normal, 1.0, 0.0625).with_tile(along, 4.0)
+            })
+            .collect();
+        let node = NodeAggregate::from_surfels(&surfels);
+        let corners = [(-0.25, -1.0), (-0.25, 1.0), (7.75, -1.0), (7.75, 1.0)]
+            .map(|(x, y)| along * x + across * (0.0625 * y));
+        let exact = Aabb::from_points(corners);
+        // The stored direction is off by 0.5° at most, of half a long edge of 0.25, the normal by 0.1°.
+        let error = (node.bounds.min - exact.min).abs().max((node.bounds.max - exact.max).abs());
+        assert!(error.max_element() < 0.003, "{error}");
+        for surfel in &surfels {
+            let disk = Aabb::from_disk(surfel.center(), surfel.normal(), surfel.radius);
+            assert!(node.bounds.inflated(node.cover_margin + 1e-6).contains_box(&disk));
         }
     }
 

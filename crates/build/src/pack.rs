@@ -6,6 +6,7 @@ use pbgi_format::{
     ChildBox, ChildLink, ExternalLink, GroupFields, LeafSurfel, Lobe, NODE_PAGE_HEADER_BYTES,
     SurfelLayout, group_bytes, write_group,
 };
+use pbgi_math::rectangle_half_edges;
 
 /// A closed node that waits for its parent.
 pub(crate) struct PendingNode {
@@ -191,11 +192,15 @@ fn encode_leaf(
 ) -> ChildContent {
     let mut bytes = Vec::with_capacity(surfels.len() * layout.stored_bytes());
     for surfel in surfels {
+        let tile = surfel.tile();
+        let [half_long, _] = rectangle_half_edges(surfel.radius, surfel.area);
         let stored = LeafSurfel {
             center: surfel.center(),
             normal: surfel.normal(),
             radius: surfel.radius,
             area: surfel.area,
+            tile,
+            half_long: if tile.is_known() { half_long } else { 0.0 },
             radiance: surfel.radiance,
             albedo: surfel.albedo_rgb(),
             isotropic: surfel.is_isotropic(),

@@ -6,7 +6,7 @@
 //! | offset | bytes | field |
 //! |---|---|---|
 //! | 0 | 8 | magic `PBGISURF` |
-//! | 8 | 4 | version, u32: 1 |
+//! | 8 | 4 | version, u32: 2, or 1 |
 //! | 12 | 4 | record kind, u32: 1 or 2 |
 //! | 16 | 8 | number of records, u64; 2⁶⁴ − 1 where unknown |
 //! | 24 | 24 | world position of the coordinate origin, 3 × f64, finite |
@@ -17,23 +17,28 @@
 //! | 0 | 0 | 12 | position relative to the origin, 3 × f32, finite, at most 10¹⁸ |
 //! | 12 | 12 | 4 | radius, f32, ≥ 0; 0 where unknown |
 //! | 16 | 16 | 4 | area, f32, ≥ 0; 0 where unknown |
-//! | 20 | 20 | 4 | normal, u32: octahedral, two 16-bit signed normalized numbers |
+//! | 20 | 20 | 4 | orientation, u32: see below |
 //! | 24 | – | 6 | radiance, 3 × f16, finite, ≥ 0 |
 //! | – | 24 | 12 | radiance, 3 × f32, finite, ≥ 0 |
 //! | – | 36 | 6 | albedo, 3 × f16, finite |
 //! | 30 | 42 | 2 | flags, u16: 1 isotropic, 2 front only; other bits zero |
+//!
+//! The orientation of version 2 is that of a [`Surfel`]: the normal, octahedral, two 12-bit signed normalized numbers; in
+//! bits 24–31 the direction of the long edge of a rectangle with half the diagonal `radius` ([`pbgi_math::TileCode`]), or 0.
+//! That of version 1 is the normal alone, in two 16-bit numbers; such streams are read, not written.
 
 use crate::record::{Defect, Record};
 use crate::source::CHUNK_SURFELS;
 use crate::{AtomicFile, CloudError, CloudOptions, Surfel, SurfelFlags, SurfelSource};
 use half::f16;
-use pbgi_math::{DVec3, Vec3};
+use pbgi_math::{DVec3, Vec3, decode_octahedral, decode_octahedral24};
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 /// First bytes of a raw surfel stream.
 pub const RAW_MAGIC: [u8; 8] = *b"PBGISURF";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
+const VERSION_WIDE_NORMALS: u32 = 1;
 const HEADER_BYTES: usize = 64;
 const COUNT_OFFSET: u64 = 16;
 const COUNT_UNKNOWN: u64 = u64::MAX;
@@ -71,6 +76,7 @@ pub struct RawSource<R> {
     path: PathBuf,
     options: CloudOptions,
     kind: RawKind,
+    wide_normals: bool,
     origin: DVec3,
     count: Option<u64>,
     next: u64,
@@ -98,8 +104,9 @@ impl<R: Read + Send> RawSource<R> {
             return Err(malformed(format!("the header ends after {read} of {HEADER_BYTES} bytes")));
         }
         let u32_at = |at: usize| u32::from_le_bytes(array_at(&header, at));
-        if u32_at(8) != VERSION {
-            return Err(malformed(format!("version {}, expected {VERSION}", u32_at(8))));
+        let version = u32_at(8);
+        if version != VERSION && version != VERSION_WIDE_NORMALS {
+            return Err(malformed(format!("version {version}, expected {VERSION}")));
         }
         let kind = match u32_at(12) {
             1 => RawKind::Compact,
@@ -120,6 +127,7 @@ impl<R: Read + Send> RawSource<R> {
             path: path.to_owned(),
             options: options.clone(),
             kind,
+            wide_normals: version == VERSION_WIDE_NORMALS,
             origin,
             count: (count != COUNT_UNKNOWN).then_some(count),
             next: 0,
@@ -171,11 +179,18 @@ impl<R: Read + Send> SurfelSource for RawSource<R> {
             ));
         }
         for bytes in self.bytes[..read].chunks_exact(size) {
-            let surfel = record_from_le_bytes(bytes, self.kind, &self.options)
+            let normal = match self.wide_normals {
+                true => decode_octahedral(orientation_at(bytes)),
+                false => decode_octahedral24(orientation_at(bytes)),
+            };
+            let surfel = record_from_le_bytes(bytes, self.kind, normal, &self.options)
                 .and_then(|record| record.to_surfel(self.options.disk_overlap));
             match surfel {
                 // The code itself, so that copying a stream changes no bit.
-                Ok(surfel) => out.push(Surfel { normal_code: normal_code_at(bytes), ..surfel }),
+                Ok(surfel) if !self.wide_normals => {
+                    out.push(Surfel { orientation: orientation_at(bytes), ..surfel });
+                }
+                Ok(surfel) => out.push(surfel),
                 Err(defect) => {
                     let place = || format!("record {}", self.next);
                     defect.apply(self.options.invalid, &mut self.skipped, &self.path, place)?;
@@ -313,13 +328,14 @@ fn array_at<const N: usize>(bytes: &[u8], at: usize) -> [u8; N] {
     std::array::from_fn(|i| bytes[at + i])
 }
 
-fn normal_code_at(record: &[u8]) -> u32 {
+fn orientation_at(record: &[u8]) -> u32 {
     u32::from_le_bytes(array_at(record, 20))
 }
 
 fn record_from_le_bytes(
     bytes: &[u8],
     kind: RawKind,
+    normal: Vec3,
     options: &CloudOptions,
 ) -> Result<Record, Defect> {
     let f32_at = |at: usize| f32::from_le_bytes(array_at(bytes, at));
@@ -336,7 +352,7 @@ fn record_from_le_bytes(
         position: Vec3::from_array([0, 4, 8].map(f32_at)),
         normal: match flags.contains(SurfelFlags::ISOTROPIC) {
             true => Vec3::ZERO,
-            false => pbgi_math::decode_octahedral(normal_code_at(bytes)),
+            false => normal,
         },
         radius: f32_at(12),
         area: f32_at(16),
@@ -350,7 +366,7 @@ fn surfel_to_le_bytes(surfel: &Surfel, kind: RawKind, out: &mut Vec<u8>) {
     for x in surfel.position.into_iter().chain([surfel.radius, surfel.area]) {
         out.extend_from_slice(&x.to_le_bytes());
     }
-    out.extend_from_slice(&surfel.normal_code.to_le_bytes());
+    out.extend_from_slice(&surfel.orientation.to_le_bytes());
     for l in surfel.radiance {
         match kind {
             RawKind::Compact => {
@@ -382,6 +398,7 @@ mod tests {
                     0.25,
                     0.125,
                 );
+                let surfel = if i % 2 == 0 { surfel.with_tile(Vec3::Y, 1.5) } else { surfel };
                 surfel.with_radiance([x, 1.0, 0.5]).with_albedo([0.5, 0.25, 1.0])
             })
             .collect()
@@ -421,6 +438,21 @@ mod tests {
         assert_eq!(bytes.len(), 64 + 32 * 100);
         for (read, written) in read_all(&bytes).unwrap().iter().zip(&surfels) {
             assert_eq!(*read, written.with_albedo([0.5; 3]));
+        }
+    }
+
+    #[test]
+    fn wide_normals_of_version_1_are_read() {
+        let surfels = surfels(5);
+        let mut bytes = stream_of(&surfels, RawKind::Full, None);
+        bytes[8] = 1;
+        for (record, surfel) in bytes[64..].chunks_exact_mut(44).zip(&surfels) {
+            let wide = pbgi_math::encode_octahedral(surfel.normal());
+            record[20..24].copy_from_slice(&wide.to_le_bytes());
+        }
+        for (read, written) in read_all(&bytes).unwrap().iter().zip(&surfels) {
+            assert!((read.normal() - written.normal()).length() < 1e-6);
+            assert!(!read.tile().is_known());
         }
     }
 

@@ -2,7 +2,7 @@
 
 use crate::{CloudError, Surfel, SurfelFlags};
 use half::f16;
-use pbgi_math::{Vec3, encode_octahedral};
+use pbgi_math::{Vec3, encode_octahedral24};
 use std::f32::consts::PI;
 use std::path::Path;
 
@@ -96,16 +96,16 @@ impl Record {
         }
         // Scaled first, so that neither tiny nor huge normals lose their direction.
         let scale = self.normal.abs().max_element();
-        let (normal_code, flags) = if scale > 0.0 {
-            (encode_octahedral((self.normal / scale).normalize()), self.flags)
+        let (orientation, flags) = if scale > 0.0 {
+            (encode_octahedral24((self.normal / scale).normalize()), self.flags)
         } else {
-            (encode_octahedral(Vec3::Z), self.flags.with(SurfelFlags::ISOTROPIC))
+            (encode_octahedral24(Vec3::Z), self.flags.with(SurfelFlags::ISOTROPIC))
         };
         Ok(Surfel {
             position: self.position.to_array(),
             radius,
             area,
-            normal_code,
+            orientation,
             radiance: self.radiance,
             albedo: self.albedo.map(|a| f16::from_f32(a.clamp(0.0, 1.0))),
             flags,

@@ -1,7 +1,7 @@
 //! A surfel as a leaf stores it.
 
 use crate::{Channels, MiniFloat, read_u16, read_u32};
-use pbgi_math::{Aabb, SharedExponent, Vec3, decode_octahedral, encode_octahedral};
+use pbgi_math::{Aabb, SharedExponent, TileCode, Vec3, decode_octahedral24, encode_octahedral24};
 
 /// A decoded surfel of a leaf.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -10,10 +10,14 @@ pub struct LeafSurfel {
     pub center: Vec3,
     /// Unit normal; meaningless when isotropic.
     pub normal: Vec3,
-    /// Radius of the covering disk.
+    /// Radius of the covering disk; half the diagonal of a rectangle.
     pub radius: f32,
     /// True area.
     pub area: f32,
+    /// Direction of the long edge of the rectangle the surfel stands for, if one is known.
+    pub tile: TileCode,
+    /// Half the long edge; 0 where no rectangle is known.
+    pub half_long: f32,
     /// Radiance of the front, W·m⁻²·sr⁻¹.
     pub radiance: [f32; 3],
     /// Diffuse albedo, 0 where the file stores none.
@@ -37,6 +41,15 @@ pub struct SurfelLayout {
     pub area: MiniFloat,
     /// Stored radiance is a multiple of this.
     pub radiance_scale: f32,
+}
+
+impl LeafSurfel {
+    /// Half the long and half the short edge of a known rectangle.
+    #[must_use]
+    #[inline(always)]
+    pub fn half_edges(&self) -> [f32; 2] {
+        [self.half_long, 0.25 * self.area / self.half_long]
+    }
 }
 
 impl SurfelLayout {
@@ -63,10 +76,13 @@ impl SurfelLayout {
             let code = (fraction * 65535.0).round().clamp(0.0, 65535.0) as u16;
             out.extend_from_slice(&code.to_le_bytes());
         }
-        out.extend_from_slice(&encode_octahedral(surfel.normal).to_le_bytes());
+        let is_tile = surfel.tile.is_known() && !surfel.isotropic;
+        let tile = if is_tile { u32::from(surfel.tile.0) << 24 } else { 0 };
+        let size = if is_tile { surfel.half_long } else { surfel.radius };
+        out.extend_from_slice(&(encode_octahedral24(surfel.normal) | tile).to_le_bytes());
         let isotropic = u16::from(surfel.isotropic) << 15;
         let front_only = u16::from(surfel.front_only) << 15;
-        out.extend_from_slice(&(self.radius.encode(surfel.radius) | isotropic).to_le_bytes());
+        out.extend_from_slice(&(self.radius.encode(size) | isotropic).to_le_bytes());
         out.extend_from_slice(&(self.area.encode(surfel.area) | front_only).to_le_bytes());
         if self.channels == Channels::Rgb {
             let scale = self.radiance_scale;
@@ -88,8 +104,17 @@ impl SurfelLayout {
             f32::from(read_u16(bytes, 2)),
             f32::from(read_u16(bytes, 4)),
         );
-        let radius_code = read_u16(bytes, 10);
+        let orientation = read_u32(bytes, 6);
+        let size_code = read_u16(bytes, 10);
         let area_code = read_u16(bytes, 12);
+        let (size, area) = (self.radius.decode(size_code), self.area.decode(area_code));
+        let isotropic = size_code & 0x8000 != 0;
+        let tile = if isotropic { TileCode::NONE } else { TileCode((orientation >> 24) as u8) };
+        let (mut radius, mut half_long) = (size, 0.0);
+        if tile.is_known() {
+            let half_short = 0.25 * area / size;
+            (radius, half_long) = ((size * size + half_short * half_short).sqrt(), size);
+        }
         let mut at = 14;
         let mut radiance = [0.0; 3];
         if self.channels == Channels::Rgb {
@@ -101,12 +126,14 @@ impl SurfelLayout {
             if self.albedo { SharedExponent(read_u32(bytes, at)).to_rgb() } else { [0.0; 3] };
         LeafSurfel {
             center: parent.min + cell * step,
-            normal: decode_octahedral(read_u32(bytes, 6)),
-            radius: self.radius.decode(radius_code),
-            area: self.area.decode(area_code),
+            normal: decode_octahedral24(orientation),
+            radius,
+            area,
+            tile,
+            half_long,
             radiance,
             albedo,
-            isotropic: radius_code & 0x8000 != 0,
+            isotropic,
             front_only: area_code & 0x8000 != 0,
         }
     }
@@ -123,6 +150,8 @@ mod tests {
             normal: Vec3::new(0.1, 0.9, -0.2).normalize(),
             radius: 0.013,
             area: 0.0004,
+            tile: TileCode::NONE,
+            half_long: 0.0,
             radiance: [3.0, 2.0, 0.5],
             albedo: [0.7, 0.1, 0.02],
             isotropic: false,
@@ -153,6 +182,45 @@ mod tests {
             assert!(back.front_only && !back.isotropic);
             assert_eq!(back.radiance[0] > 0.0, channels == Channels::Rgb);
             assert_eq!(back.albedo[0] > 0.0, albedo);
+        }
+    }
+    #[test]
+    fn stored_rectangles_come_back() {
+        let layout = SurfelLayout {
+            channels: Channels::Occlusion,
+            albedo: false,
+            radius: MiniFloat::covering(1.0),
+            area: MiniFloat::covering(1.0),
+            radiance_scale: 1.0,
+        };
+        let parent = Aabb { min: Vec3::ZERO, max: Vec3::ONE };
+        for (aspect, code) in [(1.0f32, 1), (1.3, 128), (7.0, 255)] {
+            let area = 0.0004f32;
+            let half_long = 0.5 * (area * aspect).sqrt();
+            let surfel = LeafSurfel {
+                normal: Vec3::new(0.1, 0.9, -0.2).normalize(),
+                area,
+                radius: 0.5 * (area * (aspect + 1.0 / aspect)).sqrt(),
+                tile: TileCode(code),
+                half_long,
+                ..LeafSurfel::default()
+            };
+            let mut bytes = Vec::new();
+            layout.write(&surfel, &parent, &mut bytes);
+            assert_eq!(bytes.len(), layout.stored_bytes());
+            let back = layout.read(&bytes, &parent);
+            assert_eq!(back.tile, surfel.tile);
+            let [long, short] = back.half_edges();
+            // Rounding of one code, or of two.
+            assert!((long / half_long - 1.0).abs() < 1e-3);
+            assert!((short / (half_long / aspect) - 1.0).abs() < 2.1e-3);
+            assert!((back.radius / surfel.radius - 1.0).abs() < 2.1e-3);
+            let round = LeafSurfel { isotropic: true, ..surfel };
+            bytes.clear();
+            layout.write(&round, &parent, &mut bytes);
+            let back = layout.read(&bytes, &parent);
+            assert_eq!((back.tile, back.half_long), (TileCode::NONE, 0.0));
+            assert!((back.radius / surfel.radius - 1.0).abs() < 1e-3);
         }
     }
 }

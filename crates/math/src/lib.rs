@@ -13,6 +13,7 @@ mod section;
 mod sh;
 mod silhouette;
 mod solid_angle;
+mod tile;
 
 pub use bounds::{Aabb, Cone};
 pub use cube::{CubeFace, CubeMap, CubeTexel};
@@ -27,6 +28,7 @@ pub use section::{central_section_area, section_area};
 pub use sh::{SH_COUNT, Sh9, clamped_cosine_sh, evaluate_sh_basis};
 pub use silhouette::box_silhouette;
 pub use solid_angle::{disk_solid_angle, sphere_sin2_for_solid_angle, sphere_solid_angle};
+pub use tile::{TileCode, rectangle_half_edges};
 
 /// Relative luminance of linear Rec. 709 RGB.
 #[must_use]

@@ -86,7 +86,7 @@ fn are_on_one_surface(a: &Surfel, b: &Surfel, radii: f32) -> bool {
     }
     let normal = a.normal();
     offset.dot(normal).abs() <= radii * a.radius && normal.dot(b.normal()) >= SAME_SURFACE_COSINE
-        || offset == Vec3::ZERO && a.normal_code == b.normal_code
+        || offset == Vec3::ZERO && a.orientation == b.orientation
 }
 
 /// The member nearest to the mean of all; the first of equals.
@@ -159,7 +159,7 @@ mod tests {
         assert_eq!(shared.chosen.len(), 3);
         for (i, place) in shared.place.iter().enumerate() {
             let (own, other) = (&surfels[i].1, &surfels[shared.chosen[*place as usize] as usize].1);
-            assert_eq!(own.normal_code, other.normal_code);
+            assert_eq!(own.orientation, other.orientation);
             assert_eq!(own.position[1], other.position[1]);
             // The middle of four by four.
             assert!(other.position[0] == 1.0 || other.position[0] == 2.0);

@@ -476,7 +476,7 @@ fn larger_than_zero(count: f32) -> f32 {
 mod tests {
     use super::*;
     use crate::lanes::Plain;
-    use crate::{Disk, Section, SimdLevel, WideKernel, run_wide};
+    use crate::{Disk, Section, SimdLevel, Tile, WideKernel, run_wide};
     use pbgi_math::Aabb;
     use std::f32::consts::PI;
 
@@ -618,6 +618,77 @@ mod tests {
         assert!(!is_box_open(&raster, Vec3::splat(3.0), Vec3::splat(3.5)));
     }
 
+    /// Draws an opaque tile of radiance 1, its edges scaled by `reserve`.
+    fn draw_tile(raster: &mut CubeRaster, center: Vec3, halves: [Vec3; 2], reserve: f32) {
+        let edges = halves.map(Vec3::normalize);
+        let normal = edges[0].cross(edges[1]);
+        let tile = Tile {
+            inverse: normal / normal.dot(center),
+            center,
+            edges,
+            half: halves.map(|half| half.length() * reserve),
+            distance_min: 0.0,
+        };
+        let (d2, area) = (center.length_squared(), 4.0 * halves[0].length() * halves[1].length());
+        let ink = ink(area * normal.dot(center).abs() / (d2 * d2.sqrt()), 1.0);
+        let bounds = tile.bounds();
+        let footprint = raster.footprint(bounds.min, bounds.max);
+        raster.draw::<Plain, _>(&[(tile, ink)], &footprint, center);
+    }
+
+    #[test]
+    fn rectangles_that_tile_a_plane_leave_no_sample_open() {
+        let table = CubeRasterTable::new(16);
+        let mut raster = CubeRaster::new(&table, true);
+        // A ceiling of oblong tiles, turned in its plane and tilted.
+        let normal = Vec3::new(0.2, -1.0, 0.1).normalize();
+        let first = Vec3::new(0.8, 0.0, -0.5).cross(normal).normalize();
+        let halves = [first * 0.3, normal.cross(first) * 0.12];
+        for (reserve, complete) in [(1.001, true), (0.9, false)] {
+            raster.clear::<Plain>(Vec3::Y);
+            for i in -30..=30 {
+                for j in -80..=80 {
+                    let (i, j) = (i as f32 * 2.0, j as f32 * 2.0);
+                    let center = normal * -1.0 + halves[0] * i + halves[1] * j;
+                    draw_tile(&mut raster, center, halves, reserve);
+                }
+            }
+            let mut open = 0.0;
+            for (i, texel) in table.texels().iter().enumerate() {
+                if texel.direction.dot(normal) < -0.25 {
+                    open += raster.openness(i);
+                }
+            }
+            assert_eq!(open == 0.0, complete, "{reserve}: {open}");
+        }
+    }
+
+    #[test]
+    fn a_rectangle_has_the_analytic_form_factor_and_no_point_beyond_its_edges() {
+        let table = CubeRasterTable::new(16);
+        let mut raster = CubeRaster::new(&table, true);
+        let (a, b) = (2.0f32, 0.25);
+        for turn in [0.0f32, 0.4, 1.2] {
+            raster.clear::<Plain>(Vec3::Y);
+            let (sin, cos) = turn.sin_cos();
+            let halves = [Vec3::new(cos, 0.0, sin) * a, Vec3::new(-sin, 0.0, cos) * b];
+            draw_tile(&mut raster, Vec3::Y, halves, 1.0);
+            // E = 2 L (a/√(1+a²) atan(b/√(1+a²)) + b/√(1+b²) atan(a/√(1+b²))), four quarters.
+            let (p, q) = ((1.0 + a * a).sqrt(), (1.0 + b * b).sqrt());
+            let exact = 2.0 * (a / p * (b / p).atan() + b / q * (a / q).atan());
+            let found = irradiance(&raster, &table, Vec3::Y);
+            assert!((found / exact - 1.0).abs() < 0.02, "{turn}: {found} {exact}");
+            for (i, texel) in table.texels().iter().enumerate() {
+                let at = texel.direction / texel.direction.y;
+                let beyond = |half: Vec3| at.dot(half) > 1.3 * half.length_squared() + 0.3;
+                if texel.direction.y <= 0.0 || beyond(halves[0]) || beyond(halves[1]) {
+                    let open = raster.openness(i);
+                    assert!(texel.direction.y < 0.2 || open == 1.0, "{turn} {at}: {open}");
+                }
+            }
+        }
+    }
+
     #[test]
     fn nearer_pieces_hide_farther_ones_but_not_their_neighbors() {
         let table = CubeRasterTable::new(8);
@@ -695,7 +766,12 @@ mod tests {
                 let ink = Ink { veil, ..ink(0.03, i as f32) };
                 let aabb = Aabb::from_disk(center, n, radius);
                 let footprint = raster.footprint(aabb.min, aabb.max);
-                if i % 2 == 0 {
+                if i % 3 == 2 {
+                    let tangent = n.any_orthonormal_vector();
+                    let (edges, half) = ([tangent, n.cross(tangent)], [0.2, 0.1]);
+                    let tile = Tile { inverse, center, edges, half, distance_min: 0.5 };
+                    raster.draw::<L, _>(&[(tile, ink)], &footprint, center);
+                } else if i % 3 == 1 {
                     let disk = Disk { inverse, center, radius, distance_min: 0.5 };
                     raster.draw::<L, _>(&[(disk, ink)], &footprint, center);
                 } else {

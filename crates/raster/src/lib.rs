@@ -15,7 +15,7 @@ mod window;
 pub use cube::{CubeRaster, Footprint, Ink, SHAPES_MAX, TexelChunk};
 pub use lanes::{Lanes, SAMPLES};
 pub use samples::Veil;
-pub use shape::{Disk, Section, Shape};
+pub use shape::{Disk, Section, Shape, Tile};
 pub use simd::{SimdLevel, WideKernel, run_wide};
 pub use table::{CubeRasterTable, LANES};
 pub use window::{Window, WindowRaster};

@@ -1,7 +1,7 @@
-//! What is drawn: pieces of planes, cut out by boxes or circles, and which directions meet them.
+//! What is drawn: pieces of planes, cut out by boxes, circles or rectangles, and which directions meet them.
 
 use crate::lanes::Lanes;
-use pbgi_math::{CubeFace, Vec3};
+use pbgi_math::{Aabb, CubeFace, Vec3};
 
 /// A part of a plane that does not contain the receiver.
 ///
@@ -102,5 +102,65 @@ impl Shape for Disk {
         let far_enough = w2.mul(L::splat(near2)).le(length2(x, y, z));
         let in_front = L::splat(0.0).le(w);
         L::bits(L::and(L::and(on_disk, far_enough), in_front))
+    }
+}
+
+/// A rectangle, relative to the receiver.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tile {
+    /// See [`Shape::inverse`].
+    pub inverse: Vec3,
+    /// Center.
+    pub center: Vec3,
+    /// Unit vectors along its edges, perpendicular to each other and to the plane's normal.
+    pub edges: [Vec3; 2],
+    /// Half the lengths of its edges, above 0.
+    pub half: [f32; 2],
+    /// Points of it nearer than this are not there.
+    pub distance_min: f32,
+}
+
+impl Tile {
+    /// Its box.
+    #[must_use]
+    #[inline(always)]
+    pub fn bounds(&self) -> Aabb {
+        let reach = self.edges[0].abs() * self.half[0] + self.edges[1].abs() * self.half[1];
+        Aabb { min: self.center - reach, max: self.center + reach }
+    }
+}
+
+impl Shape for Tile {
+    #[inline(always)]
+    fn inverse(&self) -> Vec3 {
+        self.inverse
+    }
+
+    #[inline(always)]
+    fn turned(&self, face: CubeFace) -> Self {
+        Self {
+            inverse: turn(self.inverse, face),
+            center: turn(self.center, face),
+            edges: [turn(self.edges[0], face), turn(self.edges[1], face)],
+            ..*self
+        }
+    }
+
+    /// With `t` along an edge and `h` its half length, the point `D/w` is on the tile where
+    /// `(t·c − h) w ≤ t·D ≤ (t·c + h) w` for both edges, which no negative `w` satisfies, and far enough where
+    /// `|D|² ≥ d² w²`.
+    #[inline(always)]
+    fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> u16 {
+        let [x, y, z] = direction;
+        let slab = |t: Vec3, half: f32| {
+            let at = t.dot(self.center);
+            let d = x.mul(L::splat(t.x)).add(y.mul(L::splat(t.y))).add(z.mul(L::splat(t.z)));
+            L::and(w.mul(L::splat(at - half)).le(d), d.le(w.mul(L::splat(at + half))))
+        };
+        let on_tile = L::and(slab(self.edges[0], self.half[0]), slab(self.edges[1], self.half[1]));
+        let near2 = self.distance_min * self.distance_min;
+        let length2 = x.mul(x).add(y.mul(y)).add(z.mul(z));
+        let far_enough = w.mul(w).mul(L::splat(near2)).le(length2);
+        L::bits(L::and(on_tile, far_enough))
     }
 }

@@ -10,8 +10,8 @@ use pbgi_cut::{
 use pbgi_format::LeafSurfel;
 use pbgi_math::{Aabb, Vec3};
 use pbgi_raster::{
-    CubeRaster, CubeRasterTable, Disk, Footprint, Ink, Lanes, SHAPES_MAX, Section, SimdLevel, Veil,
-    WideKernel, Window, WindowRaster, run_wide,
+    CubeRaster, CubeRasterTable, Disk, Footprint, Ink, Lanes, SHAPES_MAX, Section, SimdLevel, Tile,
+    Veil, WideKernel, Window, WindowRaster, run_wide,
 };
 use pbgi_store::{Reader, StoreError};
 use std::f32::consts::FRAC_1_PI;
@@ -251,6 +251,9 @@ const RESERVE: f32 = 1.1;
 /// transparent instead.
 const NEEDLE_RATIO: f32 = 2.2;
 
+/// The same for the edges of a surfel's rectangle: rounding and the codes' errors leave no gap between neighbors.
+const TILE_RESERVE: f32 = 1.02;
+
 /// Share of a piece's extent by which neighbors on the same surface may lie before it and not hide it.
 const NEIGHBOR_DEPTH: f32 = 0.15;
 
@@ -275,12 +278,40 @@ fn surfel_disk(seen: &SurfelSeen, receiver_normal: Vec3) -> (Disk, Vec3, f32) {
     (Disk { inverse, center: surfel.center, radius, distance_min }, normal, opacity)
 }
 
+/// The rectangle a surfel is drawn as, if it knows one.
+#[inline(always)]
+fn surfel_tile(seen: &SurfelSeen, receiver_normal: Vec3) -> Option<Tile> {
+    let surfel = &seen.surfel;
+    surfel.tile.is_known().then(|| Tile {
+        inverse: surfel.normal * (1.0 / surfel.normal.dot(surfel.center)),
+        center: surfel.center,
+        edges: surfel.tile.edges(surfel.normal),
+        half: surfel.half_edges().map(|half| half * TILE_RESERVE),
+        distance_min: least_distance(surfel, receiver_normal),
+    })
+}
+
 /// Whether a surfel covers anything: neither seen along its edge nor from behind where only its front is.
 #[inline(always)]
 fn blocks(seen: &SurfelSeen) -> bool {
     let surfel = &seen.surfel;
     let height = surfel.normal.dot(surfel.center);
     surfel.isotropic || height < 0.0 || (height > 0.0 && !surfel.front_only)
+}
+
+/// How a surfel, drawn with this normal, opacity and extent, covers and shines.
+#[inline(always)]
+fn surfel_ink(seen: &SurfelSeen, normal: Vec3, opacity: f32, extent: f32) -> Ink {
+    let surfel = &seen.surfel;
+    let distance = seen.distance2.sqrt();
+    let shown = if surfel.isotropic { 0.5 * surfel.area } else { surfel.area };
+    let cosine = normal.dot(surfel.center) * (-1.0 / distance);
+    Ink {
+        veil: Veil { start: 0.0, end: opacity, seed: seen.seed },
+        solid_angle: shown * cosine.abs() / seen.distance2,
+        radiance: if cosine > 0.0 { surfel.radiance } else { [0.0; 3] },
+        tolerance: NEIGHBOR_DEPTH * extent / distance,
+    }
 }
 
 /// Where a piece of a cluster lies, and which share of it is there.
@@ -329,17 +360,15 @@ impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
         if !blocks(seen) {
             return;
         }
-        let surfel = &seen.surfel;
+        if let Some(tile) = surfel_tile(seen, self.normal) {
+            let ink = surfel_ink(seen, seen.surfel.normal, 1.0, tile.half[0]);
+            let bounds = tile.bounds();
+            let footprint = self.raster.footprint(bounds.min, bounds.max);
+            self.raster.draw::<L, _>(&[(tile, ink)], &footprint, tile.center);
+            return;
+        }
         let (disk, normal, opacity) = surfel_disk(seen, self.normal);
-        let distance = seen.distance2.sqrt();
-        let shown = if surfel.isotropic { 0.5 * surfel.area } else { surfel.area };
-        let cosine = normal.dot(disk.center) * (-1.0 / distance);
-        let ink = Ink {
-            veil: Veil { start: 0.0, end: opacity, seed: seen.seed },
-            solid_angle: shown * cosine.abs() / seen.distance2,
-            radiance: if cosine > 0.0 { surfel.radiance } else { [0.0; 3] },
-            tolerance: NEIGHBOR_DEPTH * disk.radius / distance,
-        };
+        let ink = surfel_ink(seen, normal, opacity, disk.radius);
         let bounds = Aabb::from_disk(disk.center, normal, disk.radius);
         let footprint = self.raster.footprint(bounds.min, bounds.max);
         self.raster.draw::<L, _>(&[(disk, ink)], &footprint, disk.center);
@@ -371,6 +400,14 @@ impl<L: Lanes> CutVisitor for WindowVisitor<'_, L> {
     #[inline(always)]
     fn take_surfel(&mut self, seen: &SurfelSeen) {
         if !blocks(seen) {
+            return;
+        }
+        if let Some(tile) = surfel_tile(seen, self.normal) {
+            let bounds = tile.bounds();
+            if self.window.is_met_by(bounds.min, bounds.max) {
+                let veil = Veil { start: 0.0, end: 1.0, seed: seen.seed };
+                self.raster.draw::<L, _>(self.window, &tile, &veil);
+            }
             return;
         }
         let (disk, _, opacity) = surfel_disk(seen, self.normal);

@@ -7,7 +7,7 @@ use crate::sorted::{SortedSurfels, Store};
 use crate::temp_file::TempFile;
 use crate::{SortError, SurfelSummary};
 use pbgi_cloud::{Surfel, SurfelFlags};
-use pbgi_math::{DVec3, MORTON_AXIS_BITS, RootCube, Vec3, encode_octahedral};
+use pbgi_math::{DVec3, MORTON_AXIS_BITS, RootCube, Vec3, encode_octahedral24};
 use rayon::prelude::*;
 use std::f32::consts::PI;
 
@@ -214,7 +214,7 @@ fn estimate_surfel(
         match normal_of_neighborhood(surfels, index, &nearest) {
             Some(normal) => {
                 let normal = if normal.dot(options.up) < 0.0 { -normal } else { normal };
-                surfel.normal_code = encode_octahedral(normal);
+                surfel.orientation = encode_octahedral24(normal);
                 surfel.flags = SurfelFlags(surfel.flags.0 & !SurfelFlags::ISOTROPIC.0);
                 outcome.normal = true;
             }

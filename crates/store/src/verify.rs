@@ -227,7 +227,8 @@ impl<'a> Walk<'a> {
         };
         for stored in bytes.chunks_exact(layout.stored_bytes()) {
             let surfel = layout.read(stored, bounds);
-            if !(surfel.radius > 0.0 && surfel.area > 0.0 && surfel.center.is_finite()) {
+            let sound = surfel.radius > 0.0 && surfel.radius.is_finite() && surfel.area > 0.0;
+            if !(sound && surfel.center.is_finite()) {
                 return Err(self.invalid(id, "surfel", "radius or area 0", "above 0"));
             }
         }

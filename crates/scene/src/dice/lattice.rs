@@ -1,4 +1,4 @@
-//! The lattice that cuts a triangle into micropolygons.
+//! The lattice that cuts a triangle, or a parallelogram of two, into micropolygons.
 
 use pbgi_math::DVec3;
 
@@ -9,6 +9,15 @@ const STEPS_MAX: u64 = 1 << 31;
 /// more: equal edges of neighboring triangles, unequal by rounding, take equal steps.
 const STEP_SLACK: f64 = 1e-3;
 
+/// Largest cosine between a cell's edges with which it is drawn as a rectangle, and two triangles are diced as one: 30° off the right angle, and some rounding.
+pub(super) const SKEW_COSINE_MAX: f64 = 0.5 + 1e-6;
+
+/// Most a cell's long edge measures in short edges; where this needs more steps along the long edge, they are added.
+const ASPECT_MAX: f64 = 1.5;
+
+/// ... but not so many that they are shorter than this share of the spacing.
+const SPACING_SHARE_MIN: f64 = 0.25;
+
 /// A corner of a piece of a triangle.
 #[derive(Clone, Copy, Debug, Default)]
 struct Corner {
@@ -16,12 +25,12 @@ struct Corner {
     barycentric: DVec3,
 }
 
-/// A triangle, or half of one, under a lattice of parallelograms.
+/// A triangle, half of one, or a parallelogram under a lattice of parallelograms.
 ///
 /// The first corner is the one nearest to a right angle; the lattice has `u_steps` steps along the
 /// edge to the second corner and `v_steps` along the edge to the third. Cell (i, j) is what lies in
 /// the triangle of the parallelogram between steps i..i+1 and j..j+1. Two halves of a parallelogram
-/// get lattices that coincide.
+/// get lattices that coincide. A parallelogram that is diced as one has whole cells only.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Lattice {
     origin: Corner,
@@ -30,10 +39,23 @@ pub(super) struct Lattice {
     v: Corner,
     u_steps: u64,
     v_steps: u64,
+    /// All of the parallelogram, not the half of it with the first corner.
+    full: bool,
     /// Area of a whole cell.
     cell_area: f64,
     /// Covering radius of a whole cell: half its longer diagonal.
     cell_radius: f64,
+    /// The rectangle whole cells are drawn as, if they are near one.
+    rectangle: Option<Rectangle>,
+}
+
+/// A rectangle with the area of a whole cell.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Rectangle {
+    /// Along its long edge.
+    pub direction: DVec3,
+    /// Long over short edge.
+    pub aspect: f64,
 }
 
 /// One micropolygon of a lattice.
@@ -49,7 +71,8 @@ pub(super) struct Cell {
     pub radius: f64,
     column: u64,
     row: u64,
-    whole: bool,
+    /// A whole parallelogram of the lattice.
+    pub whole: bool,
 }
 
 /// A triangle as one or two lattices.
@@ -64,12 +87,7 @@ impl Lattices {
     /// 120° and longer than that is first split by the altitude from that corner, so no cell is a
     /// narrow rhomb.
     pub fn new(positions: [DVec3; 3], spacing: f64) -> Self {
-        let corner = |i: usize| Corner {
-            position: positions[i % 3],
-            barycentric: DVec3::from_array(std::array::from_fn(|k| {
-                f64::from(u8::from(k == i % 3))
-            })),
-        };
+        let corner = |i: usize| Corner::of_triangle(positions, i);
         // The angle nearest to 90° is the largest one: opposite the longest edge.
         let opposite = |i: usize| positions[(i + 1) % 3].distance_squared(positions[(i + 2) % 3]);
         let apex = (1..3).fold(0, |best, i| if opposite(i) > opposite(best) { i } else { best });
@@ -86,13 +104,33 @@ impl Lattices {
         Self { pieces, piece_count: 2 }
     }
 
-    /// Micropolygons of the triangle.
+    /// Dices the parallelogram over the edges from corner `apex` of the triangle `positions`; it has this `area`.
+    /// Barycentric coordinates beyond the triangle are outside 0..=1.
+    pub fn of_parallelogram(positions: [DVec3; 3], apex: usize, area: f64, spacing: f64) -> Self {
+        let corners = [0, 1, 2].map(|k| Corner::of_triangle(positions, apex + k));
+        let mut whole = Lattice::new(corners, spacing);
+        whole.full = true;
+        whole.cell_area = area / (whole.u_steps * whole.v_steps) as f64;
+        Self { pieces: [whole, Lattice::default()], piece_count: 1 }
+    }
+
+    /// Micropolygons of the triangle or parallelogram.
     pub fn cell_count(&self) -> u64 {
         self.pieces[..self.piece_count].iter().map(Lattice::cell_count).sum()
     }
 }
 
 impl Corner {
+    /// Corner `i`, modulo 3.
+    fn of_triangle(positions: [DVec3; 3], i: usize) -> Self {
+        Self {
+            position: positions[i % 3],
+            barycentric: DVec3::from_array(std::array::from_fn(|k| {
+                f64::from(u8::from(k == i % 3))
+            })),
+        }
+    }
+
     fn lerp(self, other: Self, t: f64) -> Self {
         Self {
             position: self.position.lerp(other.position, t),
@@ -108,10 +146,24 @@ impl Corner {
     }
 }
 
+impl Rectangle {
+    /// The rectangle with the longer of two edges and the parallelogram's area: rows of such rectangles along that edge
+    /// cover what rows of parallelograms do. `None` where the edges are too far from a right angle.
+    fn of_parallelogram(u: DVec3, v: DVec3) -> Option<Self> {
+        let long = if u.length_squared() >= v.length_squared() { u } else { v };
+        let (length_squared, area) = (long.length_squared(), u.cross(v).length());
+        let skew =
+            u.dot(v).abs() / (length_squared * u.length_squared().min(v.length_squared())).sqrt();
+        let aspect = length_squared / area;
+        (skew <= SKEW_COSINE_MAX && aspect.is_finite()).then_some(Self { direction: long, aspect })
+    }
+}
+
 impl Lattice {
     fn new([a, b, c]: [Corner; 3], spacing: f64) -> Self {
-        let u_steps = count_steps(a.position.distance(b.position), spacing);
-        let v_steps = count_steps(a.position.distance(c.position), spacing);
+        let (u_length, v_length) =
+            (a.position.distance(b.position), a.position.distance(c.position));
+        let [u_steps, v_steps] = count_lattice_steps([u_length, v_length], spacing);
         let (u, v) = (a.step_to(b, u_steps), a.step_to(c, v_steps));
         let diagonals = [u.position + v.position, u.position - v.position];
         Self {
@@ -120,15 +172,25 @@ impl Lattice {
             v,
             u_steps,
             v_steps,
+            full: false,
             cell_area: u.position.cross(v.position).length(),
             cell_radius: 0.5 * diagonals[0].length().max(diagonals[1].length()),
+            rectangle: Rectangle::of_parallelogram(u.position, v.position),
         }
+    }
+
+    /// The rectangle whole cells are drawn as, if they are near one.
+    pub fn rectangle(&self) -> Option<Rectangle> {
+        self.rectangle
     }
 
     /// Cells that meet the inside of the triangle: below the diagonal of the m × n grid there are
     /// (m n + m + n − gcd(m, n)) / 2, for the diagonal crosses m + n − gcd(m, n) cells.
     pub fn cell_count(&self) -> u64 {
         let (m, n) = (self.u_steps, self.v_steps);
+        if self.full {
+            return m * n;
+        }
         (m * n + m + n - gcd(m, n)) / 2
     }
 
@@ -139,11 +201,17 @@ impl Lattice {
 
     /// Cells of `row` that meet the inside of the triangle.
     pub fn column_count(&self, row: u64) -> u64 {
+        if self.full {
+            return self.u_steps;
+        }
         (self.u_steps * (self.v_steps - row)).div_ceil(self.v_steps)
     }
 
     /// How many of them, counted from 0, are whole parallelograms.
     pub fn whole_column_count(&self, row: u64) -> u64 {
+        if self.full {
+            return self.u_steps;
+        }
         self.u_steps * (self.v_steps - row - 1) / self.v_steps
     }
 
@@ -262,6 +330,19 @@ impl Lattice {
 fn count_steps(length: f64, spacing: f64) -> u64 {
     // A float cast saturates, and takes what is not a number to 0.
     ((length / spacing - STEP_SLACK).ceil() as u64).clamp(1, STEPS_MAX)
+}
+
+/// Steps along the two edges of a lattice: at most `spacing` long, and more along the edge where they would be too long for
+/// the steps along the other.
+fn count_lattice_steps(lengths: [f64; 2], spacing: f64) -> [u64; 2] {
+    let steps = lengths.map(|length| count_steps(length, spacing));
+    std::array::from_fn(|k| {
+        let other = lengths[1 - k] / steps[1 - k] as f64;
+        // A float cast saturates, and takes what is not a number to 0.
+        let most = (lengths[k] / (SPACING_SHARE_MIN * spacing) + STEP_SLACK) as u64;
+        let wanted = count_steps(lengths[k], ASPECT_MAX * other);
+        wanted.min(most).clamp(steps[k], STEPS_MAX)
+    })
 }
 
 fn gcd(mut a: u64, mut b: u64) -> u64 {
@@ -396,6 +477,48 @@ pub(super) mod tests {
         let total: f64 = first.1.iter().chain(&second.1).map(|c| c.area).sum();
         let whole = a.cross(b).length() - (first.0.len() + second.0.len()) as f64 * first.0[0].area;
         assert!((total / whole - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn skew_cells_have_no_rectangle() {
+        let v = |degrees: f64| {
+            let (sin, cos) = degrees.to_radians().sin_cos();
+            DVec3::new(cos, sin, 0.0) * 0.5
+        };
+        for (degrees, known) in [(90.0, true), (60.0, true), (120.0, true), (59.0, false)] {
+            let rectangle = Rectangle::of_parallelogram(v(degrees), DVec3::X);
+            assert_eq!(rectangle.is_some(), known, "{degrees}");
+            if let Some(Rectangle { direction, aspect }) = rectangle {
+                assert_eq!(direction, DVec3::X);
+                assert!((1.0 / aspect - 0.5 * degrees.to_radians().sin()).abs() < 1e-12);
+            }
+        }
+        assert!(Rectangle::of_parallelogram(DVec3::ZERO, DVec3::X).is_none());
+    }
+
+    #[test]
+    fn long_cells_are_cut_but_not_below_a_quarter_of_the_spacing() {
+        // Neither the spacing nor the aspect asks for more.
+        assert_eq!(count_lattice_steps([1.0, 0.7], 1.0), [1, 1]);
+        assert_eq!(count_lattice_steps([1.0, 0.5], 1.0), [2, 1]);
+        assert_eq!(count_lattice_steps([0.5, 1.0], 1.0), [1, 2]);
+        // A ledge: 0.3 wide, steps of 0.45 at most; a thinner one: quarters.
+        assert_eq!(count_lattice_steps([8.0, 0.3], 1.0), [18, 1]);
+        assert_eq!(count_lattice_steps([8.0, 0.01], 1.0), [32, 1]);
+        assert_eq!(count_lattice_steps([0.01, 0.2], 1.0), [1, 1]);
+        assert_eq!(count_lattice_steps([8.0, 0.01], f64::INFINITY), [1, 1]);
+        assert_eq!(count_lattice_steps([1.0, f64::NAN], 1.0), [1, 1]);
+        let mut next = random(4);
+        for _ in 0..1000 {
+            let (lengths, spacing) = ([next() * 9.0, next() * next()], 0.05 + next());
+            let steps = count_lattice_steps(lengths, spacing);
+            let coarser = count_lattice_steps(lengths, spacing * (1.0 + next()));
+            assert!(steps[0] * steps[1] >= coarser[0] * coarser[1], "{lengths:?} {spacing}");
+            let edges = [0, 1].map(|k| lengths[k] / steps[k] as f64);
+            let (long, short) = (edges[0].max(edges[1]), edges[0].min(edges[1]));
+            // One step less than a quarter would be above it.
+            assert!(long <= (1.51 * short).max(0.5 * spacing) * 1.01, "{lengths:?} {spacing}");
+        }
     }
 
     #[test]

@@ -10,12 +10,12 @@ use pbgi_cloud::{CloudError, Surfel, SurfelSource};
 use pbgi_math::Aabb;
 use rayon::prelude::*;
 use std::ops::Range;
-use triangle::{DicedTriangle, InstanceView};
+use triangle::{DicedPatch, InstanceView, Patch};
 
 /// Surfels appended by one call of [`SurfelSource::read_chunk`], give or take one.
 const CHUNK_SURFELS: usize = 4096;
 
-/// Triangles of one task when counting.
+/// Triangles of one task when counting; no two triangles of different runs are diced as one.
 const RUN_TRIANGLES: usize = 1024;
 
 /// How fine to dice.
@@ -78,10 +78,12 @@ pub enum DiceError {
 /// of the triangle's lattice, columns; nothing is stored but the place in that order.
 ///
 /// Each triangle is cut by a lattice of parallelograms along the two edges of its largest corner,
-/// with steps of at most the spacing; cells on the third edge are clipped to it. A micropolygon's
-/// surfel lies at its centroid, has exactly its area, a radius that reaches all its vertices, the
-/// triangle's geometric normal, its filtered albedo, and its emission as radiance. Both the areas
-/// and the disks of all surfels therefore cover each triangle exactly and without holes. Where a
+/// with steps of at most the spacing, shorter where cells would be long and narrow; cells on the third edge are clipped to
+/// it. Two triangles that follow each other and make up a parallelogram, also in what textures and colors show, are cut as one
+/// parallelogram without clipped cells. A micropolygon's
+/// surfel lies at its centroid, has exactly its area, a radius that reaches all its vertices, the triangle's geometric normal,
+/// its filtered albedo, and its emission as radiance; that of a whole parallelogram not far from a rectangle knows the
+/// rectangle of its area and longer edge, and has half its diagonal as radius. Both the areas and the disks of all surfels therefore cover each triangle exactly and without holes. Where a
 /// mask cuts holes, the area is scaled by the opaque share, the radius by its root, and what is all
 /// hole is left out.
 ///
@@ -108,7 +110,7 @@ struct Cursor<'a> {
     instance: usize,
     view: Option<InstanceView<'a>>,
     next_triangle: usize,
-    triangle: Option<DicedTriangle<'a>>,
+    patch: Option<DicedPatch<'a>>,
     piece: usize,
     row: u64,
     column: u64,
@@ -193,7 +195,7 @@ impl SurfelSource for DicedScene<'_> {
     fn read_chunk(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
         let end = out.len() + CHUNK_SURFELS;
         while out.len() < end {
-            if !self.cursor.find_triangle(self.meshes, self.spacing) {
+            if !self.cursor.find_patch(self.meshes, self.spacing) {
                 return Ok(false);
             }
             self.cursor.read_row(end, out);
@@ -203,26 +205,26 @@ impl SurfelSource for DicedScene<'_> {
 }
 
 impl<'a> Cursor<'a> {
-    /// Moves on to the next triangle if none is being read; `false` at the end of the scene.
-    fn find_triangle(&mut self, meshes: Meshes<'a>, spacing: f64) -> bool {
-        while self.triangle.is_none() {
+    /// Moves on to the next patch if none is being read; `false` at the end of the scene.
+    fn find_patch(&mut self, meshes: Meshes<'a>, spacing: f64) -> bool {
+        while self.patch.is_none() {
             let Some(instance) = meshes.scene.instances.get(self.instance) else { return false };
             let view = *self.view.get_or_insert_with(|| meshes.view(instance));
             if self.next_triangle == view.mesh.triangles.len() {
                 *self = Self { instance: self.instance + 1, ..Self::default() };
                 continue;
             }
-            let index = self.next_triangle;
-            self.next_triangle += 1;
-            self.triangle = view.triangle(index).map(|t| view.dice(&t, index, spacing));
+            let patch = view.patch(self.next_triangle);
+            self.next_triangle += patch.map_or(1, |p| p.triangle_count());
+            self.patch = patch.map(|p| view.dice(&p, spacing));
         }
         true
     }
 
     /// Appends surfels of the current row until it or the room up to `end` is used up.
     fn read_row(&mut self, end: usize, out: &mut Vec<Surfel>) {
-        let Some(triangle) = &mut self.triangle else { return };
-        let lattice = triangle.lattices.pieces[self.piece];
+        let Some(patch) = &mut self.patch else { return };
+        let lattice = patch.lattices.pieces[self.piece];
         let columns = lattice.column_count(self.row);
         let whole_columns = lattice.whole_column_count(self.row);
         while self.column < columns && out.len() < end {
@@ -231,7 +233,7 @@ impl<'a> Cursor<'a> {
             } else {
                 lattice.clipped_cell(self.column, self.row)
             };
-            triangle.push_surfels(&lattice, &cell, out);
+            patch.push_surfels(self.piece, &cell, out);
             self.column += 1;
         }
         if self.column == columns {
@@ -240,8 +242,8 @@ impl<'a> Cursor<'a> {
         if self.row == lattice.row_count() {
             (self.piece, self.row) = (self.piece + 1, 0);
         }
-        if self.piece == triangle.lattices.piece_count {
-            (self.triangle, self.piece) = (None, 0);
+        if self.piece == patch.lattices.piece_count {
+            (self.patch, self.piece) = (None, 0);
         }
     }
 }
@@ -288,7 +290,14 @@ impl<'a> Meshes<'a> {
 
     fn count_surfels(&self, spacing: f64) -> u64 {
         let runs = self.map_runs(|view, run| {
-            run.filter_map(|index| view.count_surfels(index, spacing)).fold(0, u64::saturating_add)
+            let (mut index, mut count) = (run.start, 0u64);
+            while index < run.end {
+                let patch = view.patch(index);
+                index += patch.as_ref().map_or(1, Patch::triangle_count);
+                let surfels = patch.map_or(0, |p| view.count_surfels(&p, spacing));
+                count = count.saturating_add(surfels);
+            }
+            count
         });
         runs.into_iter().fold(0, u64::saturating_add)
     }
@@ -416,14 +425,109 @@ mod tests {
     }
 
     #[test]
+    fn whole_cells_are_rectangles_and_clipped_ones_disks() {
+        let mut mesh = square();
+        mesh.triangles.truncate(1);
+        mesh.positions.iter_mut().for_each(|p| *p = Vec3::new(p.x + 0.1 * p.y, 0.3 * p.y, p.x));
+        let cloth = Material { double_sided: true, ..Material::default() };
+        let surfels = dice(&scene_of(mesh, cloth), Spacing::Length(0.1), TwoSided::Material);
+        // Edges √2 and √0.1 long, 13° off a right angle.
+        let (u, v) = (Vec3::new(1.0, 0.0, 1.0) / 15.0, Vec3::new(0.1, 0.3, 0.0) / 4.0);
+        let long = if u.length() > v.length() { u } else { v };
+        let mut tiles = 0;
+        for surfel in &surfels {
+            let Some([a, b]) = surfel.half_edges() else {
+                assert!(!surfel.tile().is_known());
+                continue;
+            };
+            tiles += 1;
+            let area = u.cross(v).length();
+            assert!((surfel.area / area - 1.0).abs() < 1e-4);
+            assert!((2.0 * a.length() / long.length() - 1.0).abs() < 1e-2);
+            assert!((4.0 * a.length() * b.length() / area - 1.0).abs() < 1e-4);
+            assert!(a.normalize().dot(long.normalize()).abs() > 0.999);
+        }
+        assert!(tiles > 0 && tiles < surfels.len(), "{tiles} of {}", surfels.len());
+    }
+
+    #[test]
+    fn parallelograms_are_cut_as_one() {
+        let linen =
+            Material { base_color: [1.0; 3], base_color_texture: Some(0), ..Material::default() };
+        let texels = (0..64).map(|i| [(i % 8 * 32) as u8, (i / 8 * 32) as u8, 0, 255]);
+        let texture = Texture::new(8, 8, texels.collect(), false).unwrap();
+        let scene = |mesh: Mesh| {
+            let mut scene = scene_of(mesh, linen.clone());
+            scene.textures.push(texture.clone());
+            scene
+        };
+        let tiled = |mesh: Mesh| {
+            let surfels = dice(&scene(mesh), Spacing::Length(0.05), TwoSided::None);
+            assert!((area_of(&surfels) - 1.0).abs() < 1e-5);
+            let tiles = surfels.iter().filter(|s| s.tile().is_known()).count();
+            (surfels, tiles == 400)
+        };
+        // Wherever the triangles start, the texture lies on them as on two.
+        for (a, b) in (0..9).map(|k| (k / 3, k % 3)) {
+            let mut mesh = square();
+            mesh.triangles[0].rotate_left(a);
+            mesh.triangles[1].rotate_left(b);
+            let (surfels, whole) = tiled(mesh);
+            assert!(whole && surfels.len() == 400);
+            for surfel in &surfels {
+                let (at, albedo) = (surfel.center(), surfel.albedo_rgb());
+                if at.x.min(at.y) > 0.1 && at.x.max(at.y) < 0.9 {
+                    for (x, found) in [(at.x, albedo[0]), (at.y, albedo[1])] {
+                        let expected = (8.0 * x - 0.5) * 32.0 / 255.0;
+                        assert!((found - expected).abs() < 0.02, "{at}: {albedo:?}");
+                    }
+                }
+            }
+        }
+        // Neither texture nor colors linear, not flat, not parallel: two triangles.
+        let breaks: [fn(&mut Mesh); 2] = [
+            |m| m.uvs[3].x += 0.01,
+            |m| {
+                m.colors = vec![[1.0; 3]; 4];
+                m.colors[0] = [0.5; 3];
+            },
+        ];
+        for break_mesh in breaks {
+            let mut mesh = square();
+            break_mesh(&mut mesh);
+            assert!(!tiled(mesh).1);
+        }
+        for corner in [Vec3::new(0.0, 1.0, 0.001), Vec3::new(0.001, 1.0, 0.0)] {
+            let mut mesh = square();
+            mesh.positions[3] = corner;
+            let surfels = dice(&scene(mesh), Spacing::Length(0.05), TwoSided::None);
+            assert!(surfels.iter().any(|s| !s.tile().is_known()));
+        }
+    }
+
+    #[test]
+    fn pairs_are_counted_as_they_are_read() {
+        // A single triangle first, so that a pair meets the end of each run.
+        let mut mesh = square();
+        let pair = mesh.triangles.clone();
+        mesh.triangles = vec![[0, 1, 3]];
+        mesh.triangles.extend((0..3000).flat_map(|_| pair.clone()));
+        let surfels =
+            dice(&scene_of(mesh, Material::default()), Spacing::Length(0.5), TwoSided::None);
+        // Four cells of a pair, three of a triangle: the first, one at the end of the first run, from where on pairs start at
+        // the other triangle, and the last.
+        assert_eq!(surfels.len(), 3 * 3 + 2999 * 4);
+    }
+
+    #[test]
     fn spacing_factors_thin_out_surfels() {
         let options = |factor: f32| {
             let material = Material { spacing_factor: factor, ..Material::default() };
             dice(&scene_of(square(), material), Spacing::Length(0.02), TwoSided::None)
         };
         let (fine, coarse) = (options(1.0), options(4.0));
-        // Each triangle has n(n + 1)/2 cells: of 0.02, and of at most 0.08.
-        assert_eq!((fine.len(), coarse.len()), (50 * 51, 13 * 14));
+        // Cells of 0.02, and of at most 0.08.
+        assert_eq!((fine.len(), coarse.len()), (50 * 50, 13 * 13));
         assert!((area_of(&coarse) - 1.0).abs() < 1e-6);
         let bad = Material { spacing_factor: 0.0, ..Material::default() };
         let bad = scene_of(square(), bad);
@@ -458,7 +562,7 @@ mod tests {
         ] {
             let scene = scene_of(square(), material.clone());
             let surfels = dice(&scene, Spacing::Length(0.2), two_sided);
-            assert_eq!(surfels.len(), if back.is_some() { 60 } else { 30 });
+            assert_eq!(surfels.len(), if back.is_some() { 50 } else { 25 });
             for (i, surfel) in surfels.iter().enumerate() {
                 let is_back = back.is_some() && i % 2 == 1;
                 assert_eq!(surfel.is_front_only(), back.is_some());

@@ -7,6 +7,9 @@ use pbgi_math::{DVec3, Vec2};
 /// Most alpha samples along an edge of a micropolygon.
 const ALPHA_GRID_MAX: u32 = 4;
 
+/// How far an attribute of a parallelogram may be off from linear, as a share of its span.
+const LINEAR_TOLERANCE: f32 = 1e-4;
+
 /// A mesh with its material, ready to be evaluated.
 #[derive(Clone, Copy)]
 pub(super) struct Surface<'a> {
@@ -55,6 +58,27 @@ impl<'a> Surface<'a> {
     /// Whether parts of the surface may be holes.
     pub fn is_masked(&self) -> bool {
         self.material.alpha_cutoff.is_some()
+    }
+
+    /// Whether texture coordinates and colors, where they matter, are linear over the parallelogram of two triangles: one
+    /// with corner `i` and one with corner `j` opposite the edge they share.
+    pub fn is_linear(&self, triangles: [usize; 2], [i, j]: [usize; 2]) -> bool {
+        let [p, q] = triangles.map(|index| self.mesh.triangles[index].map(|v| v as usize));
+        // Each pair must agree; the last is the parallelogram's fourth corner.
+        let is_linear = |value: &dyn Fn(usize) -> f32, span: f32| {
+            let [apex, left, right] = [0, 1, 2].map(|k| value(p[(i + k) % 3]));
+            let [fourth, right2, left2] = [0, 1, 2].map(|k| value(q[(j + k) % 3]));
+            let near = |a: f32, b: f32| (a - b).abs() <= LINEAR_TOLERANCE * span;
+            near(left, left2) && near(right, right2) && near(fourth, left + right - apex)
+        };
+        let uv = |v: usize| self.mesh.uvs.get(v).copied().unwrap_or(Vec2::ZERO);
+        let textured = self.base_color.is_some() || self.emission.is_some();
+        let span = uv(p[0]).distance(uv(p[1])).max(uv(p[0]).distance(uv(p[2])));
+        let uvs_linear =
+            !textured || is_linear(&|v| uv(v).x, span) && is_linear(&|v| uv(v).y, span);
+        let color = |v: usize, c: usize| self.mesh.colors.get(v).map_or(1.0, |color| color[c]);
+        uvs_linear
+            && (self.mesh.colors.is_empty() || (0..3).all(|c| is_linear(&|v| color(v, c), 1.0)))
     }
 
     /// Triangle `index` of the mesh, whose area in space is `area`.
