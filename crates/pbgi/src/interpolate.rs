@@ -185,7 +185,8 @@ impl<'a> Groups<'a> {
             let cosine = member.normal.dot(other.normal);
             let alike = ((cosine - FARTHEST_COSINE) / (1.0 - FARTHEST_COSINE)).max(0.0);
             let height = member.normal.dot(other.position - member.position).abs();
-            let in_plane = (1.0 - height / (PLANE_BLOCKS * member.width).max(f32::MIN_POSITIVE)).max(0.0);
+            let in_plane =
+                (1.0 - height / (PLANE_BLOCKS * member.width).max(f32::MIN_POSITIVE)).max(0.0);
             let own = if member.block == other.block { OWN_WEIGHT * alike } else { 0.0 };
             let weight = near * alike * in_plane + own + 1e-9;
             add_weighted(&mut sum, &shadings[places[leader] as usize], weight);

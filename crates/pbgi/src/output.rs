@@ -250,8 +250,11 @@ pub(crate) fn frame_attributes(
         ("pbgi:share".to_owned(), Int(request.share_pixels as i32)),
         ("pbgi:shadingRate".to_owned(), Float(request.shading_rate)),
         ("pbgi:receivers".to_owned(), Text(report.receivers.to_string())),
-        ("pbgi:cutSizeMean".to_owned(), Float(report.cut_mean as f32)),
     ];
+    if request.share_pixels == 0 {
+        // Gathers shared across the borders of bands count twice, and bands must not show.
+        attributes.push(("pbgi:cutSizeMean".to_owned(), Float(report.cut_mean as f32)));
+    }
     if let Some(environment) = &settings.environment {
         attributes.push(("pbgi:environment".to_owned(), Text(environment.to_string())));
     }

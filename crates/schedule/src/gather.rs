@@ -240,12 +240,13 @@ fn least_distance(surfel: &LeafSurfel, normal: Vec3) -> f32 {
     if own { OWN_SURFACE_RADII * surfel.radius } else { 0.0 }
 }
 
-/// Radius of a surfel's disk over that of the disk of its area.
-///
-/// Disks of the true area leave a tenth of a square lattice open, disks that cover it (1.25) reach out of every edge
-/// of leaves, boards and boxes by a fifth of a micropolygon, which blocks a quarter too much in foliage. At 1.1 a fortieth
-/// stays open.
-const RESERVE: f32 = 1.1;
+/// Radius of a solid surfel's disk over that of the disk of its area: covers a square lattice. Surfels at the edges of boxes and
+/// boards know their rectangle and are not drawn as disks.
+const SOLID_RESERVE: f32 = 1.25;
+
+/// The same for sheets, whose edges are many: covering disks reach out of every edge of a leaf by a fifth of a
+/// micropolygon, which blocks a quarter too much in foliage. At 1.1 a fortieth of a square lattice stays open.
+const SHEET_RESERVE: f32 = 1.1;
 
 /// Covering radius over area-true radius from which on a surfel is a needle: its disk keeps the covering radius and becomes
 /// transparent instead.
@@ -263,10 +264,12 @@ fn surfel_disk(seen: &SurfelSeen, receiver_normal: Vec3) -> (Disk, Vec3, f32) {
     let surfel = &seen.surfel;
     let shown = if surfel.isotropic { 0.5 * surfel.area } else { surfel.area };
     let area_true = (shown * FRAC_1_PI).sqrt();
-    let (mut radius, mut opacity) = (surfel.radius.min(RESERVE * area_true), 1.0);
+    let is_sheet = surfel.front_only || surfel.isotropic;
+    let reserve = if is_sheet { SHEET_RESERVE } else { SOLID_RESERVE };
+    let (mut radius, mut opacity) = (surfel.radius.min(reserve * area_true), 1.0);
     if surfel.radius > NEEDLE_RATIO * area_true {
         radius = surfel.radius;
-        opacity = (RESERVE * area_true / radius).powi(2);
+        opacity = (SHEET_RESERVE * area_true / radius).powi(2);
     }
     let normal = if surfel.isotropic {
         surfel.center * (-1.0 / seen.distance2.sqrt())

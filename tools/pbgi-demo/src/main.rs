@@ -46,7 +46,7 @@ struct DemoArgs {
 const SKY_COLUMNS: usize = 2048;
 
 /// Edge of the blocks of the picture in which surfaces share gathers of broad light.
-const SHARE_PIXELS: u32 = 4;
+const SHARE_PIXELS: u32 = 5;
 
 /// Neighbors on one surface that share a gather when the surfels are lit: their light is only seen
 /// reflected by others.
