@@ -106,7 +106,11 @@ impl Lanes for Plain {
 /// instructions on this processor; that is the condition of every intrinsic called here.
 #[cfg(target_arch = "x86_64")]
 #[expect(unsafe_code, reason = "intrinsics of processors that run_wide has asked for them")]
-#[allow(clippy::undocumented_unsafe_blocks, reason = "one condition for all, stated above")]
+#[allow(
+    clippy::undocumented_unsafe_blocks,
+    clippy::multiple_unsafe_ops_per_block,
+    reason = "one condition for all, stated above"
+)]
 pub(crate) mod x86 {
     use super::{Lanes, SAMPLES, sealed::Sealed};
     use std::arch::x86_64::*;
