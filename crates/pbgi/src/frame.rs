@@ -323,14 +323,21 @@ impl<'a> FrameJob<'a> {
             band.pieces.iter().map(|p| receiver(p.position, p.normal)).collect();
         let advance = |done: u64| phase.set_done(total * 3 / 4 + done / 4);
         let mut shadings = self.session.gather(&receivers, GatherParts::Peaks, &advance)?;
-        for (shading, piece) in shadings.iter_mut().zip(&band.pieces) {
-            let mut mean = groups.interpolate(piece, &broad, &places);
+        let means: Vec<Option<Shading>> =
+            band.pieces.iter().map(|p| groups.interpolate(p, &broad, &places)).collect();
+        let alone: Vec<Receiver> = (receivers.iter().zip(&means))
+            .filter(|(_, mean)| mean.is_none())
+            .map(|(receiver, _)| *receiver)
+            .collect();
+        let mut alone = self.session.gather(&alone, GatherParts::Broad, &|_| ())?.into_iter();
+        for (shading, mean) in shadings.iter_mut().zip(means) {
+            let Some(mut broad) = mean.or_else(|| alone.next()) else { continue };
             for (sum, peak) in
-                mean.environment_irradiance.iter_mut().zip(shading.environment_irradiance)
+                broad.environment_irradiance.iter_mut().zip(shading.environment_irradiance)
             {
                 *sum += peak;
             }
-            *shading = mean;
+            *shading = broad;
         }
         self.session.count(&receivers, None, &shadings);
         Ok(shadings)

@@ -4,10 +4,10 @@
 //! The image is divided into square blocks. In each, the pieces that face the same way and lie in one plane form a group;
 //! the member nearest to the group's middle is gathered for, its leader. A piece takes the mean of the leaders of
 //! its own and the eight blocks around it, weighted by how near they are in the image, how much they face the same way and
-//! how near its plane they lie. Groups depend on what is visible in the blocks alone, not on the bands in which an image is made.
+//! how near its plane they lie; where leaders differ much it gathers for itself. Groups depend on what is visible in the blocks alone, not on the bands in which an image is made.
 
 use crate::frame::Piece;
-use pbgi_math::{Vec2, Vec3};
+use pbgi_math::{Vec2, Vec3, luminance};
 use pbgi_scene::CameraView;
 use pbgi_schedule::Shading;
 use std::collections::HashMap;
@@ -23,6 +23,9 @@ const REACH_BLOCKS: f32 = 1.5;
 
 /// How far from a leader's plane pieces may lie that share with it, in blocks.
 const PLANE_BLOCKS: f32 = 0.25;
+
+/// Standard deviation over mean of what the leaders receive up to which it is interpolated.
+const SPREAD_MAX: f32 = 0.4;
 
 /// Weight of a piece's own leader on top of what it deserves, so that the sum is never 0.
 const OWN_WEIGHT: f32 = 1e-3;
@@ -173,11 +176,16 @@ impl<'a> Groups<'a> {
         }
     }
 
-    /// What is interpolated for `piece` from the leaders' shadings.
-    pub fn interpolate(&self, piece: &Piece, shadings: &[Shading], places: &[u32]) -> Shading {
+    /// What is interpolated for `piece` from the leaders' shadings, or none where they differ too much.
+    pub fn interpolate(
+        &self,
+        piece: &Piece,
+        shadings: &[Shading],
+        places: &[u32],
+    ) -> Option<Shading> {
         let member = self.member(piece);
         let mut sum = Shading::default();
-        let mut weights = 0.0;
+        let (mut weights, mut light, mut light2) = (0.0, 0.0, 0.0);
         self.around(member.block, |leader| {
             let other = &self.members[self.leaders[leader]];
             let offset = (member.pixel - other.pixel).abs() / (REACH_BLOCKS * self.edge);
@@ -191,12 +199,22 @@ impl<'a> Groups<'a> {
             let weight = near * alike * in_plane + own + 1e-9;
             add_weighted(&mut sum, &shadings[places[leader] as usize], weight);
             weights += weight;
+            let shading = &shadings[places[leader] as usize];
+            // Where nothing shines, occlusion is what counts.
+            let lit = luminance(shading.irradiance());
+            let value = if lit > 0.0 { lit } else { shading.ambient_occlusion };
+            light += weight * value;
+            light2 += weight * value * value;
         });
+        let mean = light / weights;
+        if light2 / weights - mean * mean > (SPREAD_MAX * mean).powi(2) {
+            return None;
+        }
         let mut mean = Shading::default();
         add_weighted(&mut mean, &sum, 1.0 / weights);
         mean.bent_normal = mean.bent_normal.try_normalize().unwrap_or(piece.normal);
         mean.cut_size = 0;
-        mean
+        Some(mean)
     }
 }
 
@@ -261,7 +279,7 @@ mod tests {
         assert!(needed.len() * 15 < pieces.len(), "{}", needed.len());
         let shadings = linear(&needed);
         for piece in &pieces {
-            let found = groups.interpolate(piece, &shadings, &places);
+            let found = groups.interpolate(piece, &shadings, &places).unwrap();
             let error = found.surface_irradiance[0] - (2.0 + piece.position.x);
             // At the rim the mean leans inward by up to half a block.
             assert!(error.abs() < 0.15, "{error} at {}", piece.position);
@@ -284,7 +302,7 @@ mod tests {
                 let groups = Groups::new(all, &view, 4);
                 let (needed, places) = groups.needed(own);
                 let shadings = linear(&needed);
-                own.iter().map(|p| groups.interpolate(p, &shadings, &places)).collect()
+                own.iter().map(|p| groups.interpolate(p, &shadings, &places).unwrap()).collect()
             })
             .collect();
         assert!(results[0] == results[1] && results[0] == results[2]);
@@ -304,9 +322,26 @@ mod tests {
         };
         let shadings: Vec<Shading> = needed.iter().map(light).collect();
         for piece in &pieces {
-            let found = groups.interpolate(piece, &shadings, &places).ambient_occlusion;
+            let found = groups.interpolate(piece, &shadings, &places).unwrap().ambient_occlusion;
             let exact = f32::from(piece.normal.dot(front) > 0.5);
             assert!((found - exact).abs() < 1e-4, "{found} {exact}");
         }
+    }
+
+    #[test]
+    fn where_leaders_differ_nothing_is_interpolated() {
+        let view = view();
+        let pieces = wall(60, -view.forward());
+        let groups = Groups::new(&pieces, &view, 6);
+        let (needed, places) = groups.needed(&pieces);
+        let step = |p: &(Vec3, Vec3)| Shading {
+            ambient_occlusion: if p.0.x > 0.0 { 1.0 } else { 0.2 },
+            ..Shading::default()
+        };
+        let shadings: Vec<Shading> = needed.iter().map(step).collect();
+        let refused = |p: &&Piece| groups.interpolate(p, &shadings, &places).is_none();
+        let count = pieces.iter().filter(refused).count();
+        assert!(count > 0 && count < pieces.len() / 2, "{count}");
+        assert!(pieces.iter().filter(refused).all(|p| p.position.x.abs() < 0.4));
     }
 }

@@ -56,7 +56,7 @@ const SHARE: usize = 256;
 const BAKE_SOLID_ANGLE_SR: f32 = 1.0;
 
 /// Receivers of which the error is measured.
-const CHECK_RECEIVERS: usize = 64;
+const CHECK_RECEIVERS: usize = 48;
 
 fn main() -> ExitCode {
     let args = DemoArgs::parse();
@@ -69,6 +69,7 @@ struct Demo {
     surfels: u64,
     resolution: [u32; 2],
     shading_rate: f32,
+    share_pixels: u32,
     common: CommonArgs,
     progress: Progress,
 }
@@ -88,7 +89,8 @@ impl Demo {
             } else {
                 args.resolution
             },
-            shading_rate: 2.0,
+            shading_rate: 2.5,
+            share_pixels: if args.quick { 0 } else { SHARE_PIXELS },
             common: args.common,
             progress: args.common.start_progress(6),
         })
@@ -114,7 +116,7 @@ impl Demo {
             height: self.resolution[1],
             samples: 8,
             shading_rate: self.shading_rate,
-            share_pixels: SHARE_PIXELS,
+            share_pixels: self.share_pixels,
             aovs: FRAME_AOVS.to_vec(),
             names: Default::default(),
             settings: ShadeSettings {
