@@ -6,7 +6,7 @@ use pbgi_cloud::Surfel;
 use pbgi_math::Vec3;
 use pbgi_schedule::{GatherSettings, Gatherer, Receiver};
 use pbgi_store::Octree;
-use pbgi_testkit::{closed_room, random_objects, ray_cast_gather, sphere_directions};
+use pbgi_testkit::{SurfelForm, closed_room, random_objects, ray_cast_gather, sphere_directions};
 use std::f32::consts::{FRAC_1_PI, PI};
 
 fn gather(
@@ -17,23 +17,41 @@ fn gather(
     Gatherer::new(octree.reader(), settings, None).gather(&receiver).unwrap()
 }
 
+/// Gathers for 400 receivers in a closed room of radiance 2: root mean square and worst of `E/(πL) − 1`.
+fn closed_room_errors(form: SurfelForm, solid_angle_sr: f32) -> (f32, f32) {
+    let half = Vec3::new(2.0, 1.3, 1.7);
+    let (_folder, octree) =
+        bake_and_open(&closed_room(half, 40, 2.0, form), &BuildOptions::default());
+    let settings = GatherSettings { solid_angle_sr, ..GatherSettings::default() };
+    let (mut squares, mut worst) = (0.0, 0f32);
+    for (i, normal) in sphere_directions(400).enumerate() {
+        let f = |k: usize| ((i * k) % 37) as f32 / 37.0 * 1.8 - 0.9;
+        let position = half * Vec3::new(f(5), f(11), f(17));
+        let found = gather(&octree, &settings, Receiver { position, normal });
+        let error = found.surface_irradiance[0] / (2.0 * PI) - 1.0;
+        squares += error * error / 400.0;
+        worst = worst.max(error.abs()).max(found.ambient_occlusion);
+    }
+    (squares.sqrt(), worst)
+}
+
 /// A closed room of uniform radiance L gives E = πL at every place and orientation, however
-/// coarse the cut: pieces of walls tile, and leave no sample open.
+/// coarse the cut: pieces of walls tile, and leave no sample open. Receivers float in the air here; what is at worst missing
+/// are the surfels that rise too little above their horizon to be told from their own surface.
 #[test]
 fn a_uniform_closed_room_gives_pi_times_its_radiance() {
-    let half = Vec3::new(2.0, 1.3, 1.7);
-    let surfels = closed_room(half, 40, 2.0);
-    let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
-    for (solid_angle_sr, tolerance) in [(0.3, 0.04), (0.03, 0.02), (0.0, 0.02)] {
-        let settings = GatherSettings { solid_angle_sr, ..GatherSettings::default() };
-        for (i, normal) in sphere_directions(40).enumerate() {
-            let f = |k: usize| ((i * k) % 37) as f32 / 37.0 * 1.8 - 0.9;
-            let position = half * Vec3::new(f(5), f(11), f(17));
-            let found = gather(&octree, &settings, Receiver { position, normal });
-            let relative = found.surface_irradiance[0] / (2.0 * PI);
-            assert!((relative - 1.0).abs() < tolerance, "{solid_angle_sr} {position}: {relative}");
-            assert!(found.ambient_occlusion < tolerance, "{}", found.ambient_occlusion);
-        }
+    for solid_angle_sr in [0.3, 0.1, 0.03, 0.0] {
+        let (rms, worst) = closed_room_errors(SurfelForm::Rectangles, solid_angle_sr);
+        assert!(rms < 0.005 && worst < 0.025, "{solid_angle_sr}: {rms}, {worst}");
+    }
+}
+
+/// Disks do not know what they stand for: where cells are oblong, boxes of their area-true squares leave gaps.
+#[test]
+fn a_closed_room_of_disks_leaks_little() {
+    for solid_angle_sr in [0.3, 0.1, 0.03, 0.0] {
+        let (rms, worst) = closed_room_errors(SurfelForm::Disks, solid_angle_sr);
+        assert!(rms < 0.02 && worst < 0.05, "{solid_angle_sr}: {rms}, {worst}");
     }
 }
 
@@ -41,7 +59,7 @@ fn a_uniform_closed_room_gives_pi_times_its_radiance() {
 #[test]
 fn receivers_on_the_walls_of_a_closed_room_see_all_of_it() {
     let half = Vec3::new(2.0, 1.3, 1.7);
-    let surfels = closed_room(half, 40, 1.0);
+    let surfels = closed_room(half, 40, 1.0, SurfelForm::Rectangles);
     let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
     for solid_angle_sr in [0.1, 0.01] {
         let settings = GatherSettings { solid_angle_sr, ..GatherSettings::default() };

@@ -5,7 +5,7 @@ use pbgi_build::{BuildOptions, build_octree};
 use pbgi_cloud::Surfel;
 use pbgi_math::Vec3;
 use pbgi_store::{Backend, Octree, OpenOptions, StoreError};
-use pbgi_testkit::{closed_room, random_objects};
+use pbgi_testkit::{SurfelForm, closed_room, random_objects};
 
 #[test]
 fn every_surfel_is_in_the_file_exactly_once() {
@@ -50,7 +50,7 @@ fn a_hundred_thousand_surfels_at_one_place_bake() {
 
 #[test]
 fn both_backends_and_compression_give_the_same_pages() {
-    let surfels = closed_room(Vec3::ONE, 30, 1.0);
+    let surfels = closed_room(Vec3::ONE, 30, 1.0, SurfelForm::Disks);
     let folder = tempfile::tempdir().unwrap();
     let mut reports = Vec::new();
     for compress in [false, true] {

@@ -14,6 +14,8 @@ pub struct Piece {
     pub end: f32,
     /// Solid angle of the surfaces seen, as if nothing outside the node hid them; sr.
     pub solid_angle: f32,
+    /// Cosine between the plane's normal and the line of sight to its middle, without sign.
+    pub cosine: f32,
     /// Their radiance; 0 for backs.
     pub radiance: [f32; 3],
 }
@@ -164,27 +166,31 @@ fn drop_backs(shown: &mut [Shown]) -> &mut [Shown] {
 /// What a lobe shows, or none where it shows nothing that blocks.
 #[inline(always)]
 fn see_lobe(lobe: &Lobe, center: Vec3, half: Vec3, toward_receiver: Vec3) -> Option<Shown> {
-    let along = lobe.vector.dot(toward_receiver);
-    let root = (along * along + lobe.width * lobe.width).sqrt();
-    let (front, back) = (0.5 * (along + root), 0.5 * (root - along));
     let length = lobe.vector.length();
     let is_flat = lobe.width <= FLAT_WIDTH * (length + lobe.width);
+    let (mut normal, mut point) = (toward_receiver, center);
+    if is_flat {
+        normal = lobe.vector * (1.0 / length);
+        point = center + normal * (lobe.height * normal.abs().dot(half));
+    }
+    let (distance2, height) = (point.length_squared(), normal.dot(point));
+    let (front, back) = if is_flat {
+        // Which side is seen follows from its own plane: that may lie far from the box's middle.
+        seen_areas(-length * height / length_of(distance2), lobe.width)
+    } else {
+        seen_areas(lobe.vector.dot(toward_receiver), lobe.width)
+    };
     let back = if lobe.blocks_back { back } else { 0.0 };
-    let is_front = if is_flat { along > 0.0 } else { front > 0.0 };
+    let is_front = if is_flat { height < 0.0 } else { front > 0.0 };
     let area = if is_flat && !is_front { back } else { front.max(back) };
     if !(area > 0.0) {
         return None;
     }
-    let (normal, point, opacity);
-    if is_flat {
-        normal = lobe.vector * (1.0 / length);
-        point = center + normal * (lobe.height * normal.abs().dot(half));
-        opacity = lobe.fill;
+    let opacity = if is_flat {
+        lobe.fill
     } else {
-        (normal, point) = (toward_receiver, center);
-        opacity = (area / central_section_area(half, toward_receiver)).min(1.0);
-    }
-    let (distance2, height) = (point.length_squared(), normal.dot(point));
+        (area / central_section_area(half, toward_receiver)).min(1.0)
+    };
     // Seen along its edge it covers nothing; the plane must not contain the receiver.
     let height = if height.abs() < 1e-6 * length_of(distance2) {
         1e-6 * length_of(distance2)
@@ -196,10 +202,18 @@ fn see_lobe(lobe: &Lobe, center: Vec3, half: Vec3, toward_receiver: Vec3) -> Opt
         start: 0.0,
         end: 0.0,
         solid_angle: if is_front { front } else { back } / distance2,
+        cosine: height.abs() * (1.0 / length_of(distance2)),
         radiance: if is_front { lobe.radiance } else { [0.0; 3] },
     };
     let is_sheet = !lobe.blocks_back;
     Some(Shown { piece, distance2, opacity, area, is_sheet, is_flat, is_front })
+}
+
+/// Front and back area that a lobe of width `h` shows where its vector area along the line of sight is `along`.
+#[inline(always)]
+fn seen_areas(along: f32, width: f32) -> (f32, f32) {
+    let root = (along * along + width * width).sqrt();
+    (0.5 * (along + root), 0.5 * (root - along))
 }
 
 #[inline(always)]
@@ -230,5 +244,62 @@ fn thin_sheets(shown: &mut [Shown], silhouette: f32) {
             seen.opacity *= factor;
             seen.piece.solid_angle *= factor;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pbgi_format::{Channels, MiniFloat};
+
+    /// Floor and wall of a node, as the receiver sees them.
+    fn see_corner(receiver: Vec3) -> Cluster {
+        let layout = SurfelLayout {
+            channels: Channels::Rgb,
+            albedo: false,
+            radius: MiniFloat::covering(1.0),
+            area: MiniFloat::covering(1.0),
+            radiance_scale: 1.0,
+        };
+        let mut bytes = Vec::new();
+        for vector in [Vec3::Y, Vec3::X] {
+            let lobe = Lobe {
+                vector,
+                width: 0.0,
+                blocks_back: true,
+                radiance: [1.0; 3],
+                height: -1.0,
+                fill: 1.0,
+            };
+            lobe.write(layout.channels, layout.area, layout.radiance_scale, &mut bytes);
+        }
+        Cluster::from_lobes(-receiver, Vec3::ONE - receiver, 0.0, &bytes, 1, &layout)
+    }
+
+    #[test]
+    fn which_side_is_seen_follows_from_the_planes_not_from_the_middle() {
+        // Before floor and wall, though under the middle of their box; behind the wall; under the floor.
+        for (receiver, floor, wall) in [
+            (Vec3::new(6.0, 0.1, 0.5), 1.0, 1.0),
+            (Vec3::new(-6.0, 0.1, 0.5), 1.0, 0.0),
+            (Vec3::new(6.0, -0.1, 0.5), 0.0, 1.0),
+        ] {
+            let cluster = see_corner(receiver);
+            let shown = |axis: usize| {
+                let of_axis = |p: &&Piece| p.inverse[axis] != 0.0;
+                cluster.pieces().iter().find(of_axis).map_or(0.0, |p| p.radiance[0])
+            };
+            assert_eq!((shown(1), shown(0)), (floor, wall), "{receiver}");
+        }
+    }
+
+    #[test]
+    fn pieces_know_their_distance_and_cosine() {
+        let cluster = see_corner(Vec3::new(4.0, 2.0, 0.5));
+        let floor = cluster.pieces().iter().find(|p| p.inverse.y != 0.0).unwrap();
+        // The floor's middle is 3.5 away along x and 2 below.
+        let d2 = 3.5f32 * 3.5 + 2.0 * 2.0;
+        assert!((floor.cosine - 2.0 / d2.sqrt()).abs() < 1e-3, "{floor:?}");
+        assert!((floor.solid_angle - floor.cosine / d2).abs() < 1e-4, "{floor:?}");
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::footprint::project_box;
 use crate::lanes::{Lanes, SAMPLES};
-use crate::samples::{Veil, place};
+use crate::samples::{Veil, place, sample_near};
 use crate::shape::Shape;
 use crate::table::{CubeRasterTable, LANES};
 use pbgi_math::{CubeFace, Vec3};
@@ -293,7 +293,7 @@ impl CubeRaster {
             }
             for ((shape, ink), met) in shapes.iter().zip(met) {
                 if met == 0 {
-                    self.shine_unmet::<L, S>(shape, toward, ink);
+                    self.shine_unmet(shape, toward, ink);
                 }
             }
         }
@@ -364,26 +364,34 @@ impl CubeRaster {
         }
     }
 
-    /// Adds the light of a piece that met no sample to the texel at its middle.
+    /// Adds the light of a piece that met no sample to the texel at its middle. Whether it is hidden says the sample next to it:
+    /// others in the texel may lie on other surfaces.
     #[inline(always)]
-    fn shine_unmet<L: Lanes, S: Shape>(&mut self, shape: &S, toward: Vec3, ink: &Ink) {
+    fn shine_unmet<S: Shape>(&mut self, shape: &S, toward: Vec3, ink: &Ink) {
         if toward == Vec3::ZERO {
             return;
         }
         let (face, u, v) = CubeFace::from_direction(toward);
-        let texel = |x: f32| smaller_index(((x + 1.0) * self.scale) as i32 as usize, self.n - 1);
-        let (column, row) = (texel(u), texel(v));
+        let [x, y] = [u, v].map(|c| (c + 1.0) * self.scale);
+        let texel = |c: f32| smaller_index(c as i32 as usize, self.n - 1);
+        let (column, row) = (texel(x), texel(y));
         let index = (usize::from(face.0) * self.n + row) * self.stride + column;
-        let (x, y) = (self.sample_columns::<L>(column), self.sample_rows::<L>(row));
-        let inverse = shape.turned(face).inverse();
-        let w = L::splat(inverse.x).add(L::splat(inverse.y).mul(x)).add(L::splat(inverse.z).mul(y));
+        let sample = sample_near(x - column as u32 as f32, y - row as u32 as f32);
         let texel = self.texels[index];
-        let nearer = w.mul(L::splat(1.0 + ink.tolerance)).le(L::load(&self.depths[index]));
-        let visible = texel.above & !(texel.covered & L::bits(nearer));
+        if texel.above >> sample & 1 == 0 {
+            return;
+        }
+        let place = |axis: usize| self.places[axis][sample as usize];
+        let (su, sv) = (self.corner(column) + place(0), self.corner(row) + place(1));
+        let inverse = shape.turned(face).inverse();
+        let w = inverse.x + inverse.y * su + inverse.z * sv;
+        let is_hidden = w * (1.0 + ink.tolerance) <= self.depths[index][sample as usize];
+        if texel.covered >> sample & 1 != 0 && is_hidden {
+            return;
+        }
         let above = texel.above.count_ones() as f32;
-        let open = visible.count_ones() as f32 / larger_than_zero(above);
-        let share = open * ink.solid_angle * self.inverse_solid_angles[index];
-        self.lights[index].add(share, &ink.radiance);
+        let whole = self.inverse_solid_angles[index] * SAMPLES as f32 / above;
+        self.lights[index].add(ink.solid_angle * whole, &ink.radiance);
     }
 
     /// Texels along a face.
@@ -440,7 +448,11 @@ impl Light {
     fn made_whole(&self) -> [f32; 3] {
         let inverse = 1.0 / crate::larger(self.weight, 1e-6);
         let mean = self.radiance.map(|sum| sum * inverse);
-        if mean[0] + mean[1] + mean[2] <= EVEN * self.brightness {
+        if self.brightness < 0.0 && self.weight > 1.0 {
+            // Nothing large enough to take the excess from.
+            return self.radiance;
+        }
+        if self.brightness < 0.0 || mean[0] + mean[1] + mean[2] <= EVEN * self.brightness {
             return mean;
         }
         let missing = 1.0 - self.weight;
@@ -727,6 +739,38 @@ mod tests {
         }
         let light = raster.chunk(up / LANES).radiance[0][up % LANES];
         assert!((light - 3.0).abs() < 1e-3, "{light}");
+    }
+
+    /// Pieces far smaller than the gaps between samples that tile the sky: in texels that the horizon crosses, too, their shares
+    /// are of the part above it.
+    #[test]
+    fn tiny_pieces_over_the_horizon_fill_the_sky() {
+        let table = CubeRasterTable::new(8);
+        let mut raster = CubeRaster::new(&table, true);
+        let normal = Vec3::new(0.3, 1.0, 0.45).normalize();
+        raster.clear::<Plain>(normal);
+        let count = 60_000u32;
+        for i in 0..count {
+            let z = -1.0 + 2.0 * (i as f32 + 0.5) / count as f32;
+            let (sin, cos) = (f64::from(i) * 2.399_963_229_728_653).sin_cos();
+            let r = (1.0 - z * z).sqrt();
+            let center = Vec3::new(r * cos as f32, r * sin as f32, z);
+            if center.dot(normal) > 0.0 {
+                let piece = (center - 1e-3, center + 1e-3);
+                draw_section(&mut raster, piece, center, &ink(4.0 * PI / count as f32, 1.0));
+            }
+        }
+        let (mut crossed, mut shares) = (0f32, 0f32);
+        for (texel, light) in raster.texels.iter().zip(&raster.lights) {
+            if texel.above == ALL {
+                assert!((light.radiance[0] - 1.0).abs() < 0.1, "{}", light.radiance[0]);
+            } else if texel.above != 0 {
+                let above = texel.above.count_ones() as f32;
+                crossed += above;
+                shares += light.radiance[0] * above;
+            }
+        }
+        assert!(crossed > 200.0 && (shares / crossed - 1.0).abs() < 0.1, "{shares} {crossed}");
     }
 
     #[test]

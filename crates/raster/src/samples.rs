@@ -20,6 +20,31 @@ pub(crate) const fn place(index: usize) -> [f32; 2] {
     [(u as f32 + 0.5) / SAMPLES as f32, (v as f32 + 0.5) / SAMPLES as f32]
 }
 
+/// Cells along each side of a texel that hold one sample each.
+const CELLS: usize = 4;
+
+/// The sample in each cell.
+const SAMPLE_OF_CELL: [[u8; CELLS]; CELLS] = {
+    let mut samples = [[u8::MAX; CELLS]; CELLS];
+    let mut index = 0;
+    while index < SAMPLES {
+        let [u, v] = place(index);
+        let cell = &mut samples[(v * CELLS as f32) as usize][(u * CELLS as f32) as usize];
+        assert!(*cell == u8::MAX, "one sample a cell");
+        *cell = index as u8;
+        index += 1;
+    }
+    samples
+};
+
+/// The sample that speaks for what is smaller than the gaps between samples, at a place in the texel, 0..=1: the one in
+/// the same of sixteen cells.
+#[inline(always)]
+pub(crate) fn sample_near(u: f32, v: f32) -> u32 {
+    let cell = |x: f32| ((x * CELLS as f32) as i32 as usize).min(CELLS - 1);
+    u32::from(SAMPLE_OF_CELL[cell(v)][cell(u)])
+}
+
 /// Samples `index XOR key < count` for each key and count: runs of the sequence, scrambled.
 const RUNS: [[u16; SAMPLES + 1]; SAMPLES] = {
     let mut runs = [[0; SAMPLES + 1]; SAMPLES];

@@ -255,8 +255,15 @@ const NEEDLE_RATIO: f32 = 2.2;
 /// The same for the edges of a surfel's rectangle: rounding and the codes' errors leave no gap between neighbors.
 const TILE_RESERVE: f32 = 1.02;
 
-/// Share of a piece's extent by which neighbors on the same surface may lie before it and not hide it.
+/// Share of a piece's extent by which planes of neighbors on the same surface may lie before its own and not hide it.
 const NEIGHBOR_DEPTH: f32 = 0.15;
+
+/// How much nearer, as a share of the distance, neighbors may be: of a piece with this extent over its distance, seen at this
+/// cosine. Where the plane is seen at a grazing angle, a small step along its normal is a long one along the line of sight.
+#[inline(always)]
+fn neighbor_tolerance(spread: f32, cosine: f32) -> f32 {
+    spread * if cosine > NEIGHBOR_DEPTH { NEIGHBOR_DEPTH / cosine } else { 1.0 }
+}
 
 /// The disk a surfel is drawn as, and its opacity. An isotropic one turns to the receiver.
 #[inline(always)]
@@ -313,7 +320,7 @@ fn surfel_ink(seen: &SurfelSeen, normal: Vec3, opacity: f32, extent: f32) -> Ink
         veil: Veil { start: 0.0, end: opacity, seed: seen.seed },
         solid_angle: shown * cosine.abs() / seen.distance2,
         radiance: if cosine > 0.0 { surfel.radiance } else { [0.0; 3] },
-        tolerance: NEIGHBOR_DEPTH * extent / distance,
+        tolerance: neighbor_tolerance(extent / distance, cosine.abs()),
     }
 }
 
@@ -350,7 +357,7 @@ impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
                 veil,
                 solid_angle: piece.solid_angle,
                 radiance: piece.radiance,
-                tolerance: NEIGHBOR_DEPTH * cluster.spread,
+                tolerance: neighbor_tolerance(cluster.spread, piece.cosine),
             };
             *shape = (section, ink);
         }

@@ -8,5 +8,5 @@ mod scenes;
 mod sorted;
 
 pub use oracle::{OracleResult, ray_cast_gather};
-pub use scenes::{closed_room, random_objects, sphere_directions};
+pub use scenes::{SurfelForm, closed_room, random_objects, sphere_directions};
 pub use sorted::{sort_in_memory, summarize};

@@ -14,10 +14,19 @@ pub fn sphere_directions(count: u32) -> impl Iterator<Item = Vec3> {
     })
 }
 
-/// The inside of a box of the given half-extents: `per_edge²` square surfels on each wall, facing
+/// What surfels of a wall know of themselves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SurfelForm {
+    /// Area and covering radius.
+    Disks,
+    /// The rectangle they stand for.
+    Rectangles,
+}
+
+/// The inside of a box of the given half-extents: `per_edge²` rectangular surfels on each wall, facing
 /// inward, all with the same radiance. In it `E = πL` everywhere.
 #[must_use]
-pub fn closed_room(half: Vec3, per_edge: usize, radiance: f32) -> Vec<Surfel> {
+pub fn closed_room(half: Vec3, per_edge: usize, radiance: f32, form: SurfelForm) -> Vec<Surfel> {
     let mut surfels = Vec::with_capacity(6 * per_edge * per_edge);
     for axis in 0..3 {
         let (ua, va) = ((axis + 1) % 3, (axis + 2) % 3);
@@ -31,9 +40,13 @@ pub fn closed_room(half: Vec3, per_edge: usize, radiance: f32) -> Vec<Surfel> {
                 center[ua] = -half[ua] + ((i % per_edge) as f32 + 0.5) * du;
                 center[va] = -half[va] + ((i / per_edge) as f32 + 0.5) * dv;
                 let radius = 0.5 * (du * du + dv * dv).sqrt();
-                surfels.push(
-                    Surfel::new(center, normal, radius, du * dv).with_radiance([radiance; 3]),
-                );
+                let disk =
+                    Surfel::new(center, normal, radius, du * dv).with_radiance([radiance; 3]);
+                let (long, aspect) = if du > dv { (ua, du / dv) } else { (va, dv / du) };
+                surfels.push(match form {
+                    SurfelForm::Disks => disk,
+                    SurfelForm::Rectangles => disk.with_tile(Vec3::AXES[long], aspect),
+                });
             }
         }
     }
