@@ -394,20 +394,6 @@ impl CubeRaster {
         self.lights[index].add(ink.solid_angle * whole, &ink.radiance);
     }
 
-    /// Texels along a face.
-    #[must_use]
-    #[inline(always)]
-    pub fn edge(&self) -> usize {
-        self.n
-    }
-
-    /// Texels of a row in memory.
-    #[must_use]
-    #[inline(always)]
-    pub fn stride(&self) -> usize {
-        self.stride
-    }
-
     /// Share of texel `index` (in memory), above the horizon, that no surface covers.
     #[must_use]
     #[inline(always)]

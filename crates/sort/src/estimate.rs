@@ -21,6 +21,10 @@ const TASK: usize = 256;
 const PLANE_NEIGHBORS_MIN: usize = 3;
 /// A neighborhood is a surface where its smallest variance is below this part of the middle one.
 const SURFACE_VARIANCE_RATIO: f64 = 0.3;
+/// A surfel is lone where its last neighbor is farther away than this many times the radius of the disk its neighbors would fill,
+/// and its own disk reaches at most this many times as far as theirs: birds, wires and stray echoes get the size of what is
+/// sampled near them, not that of the gap.
+const LONE_RATIO: f32 = 2.0;
 /// It is a line where the middle variance is at most this part of the largest.
 const LINE_VARIANCE_RATIO: f64 = 1e-4;
 
@@ -59,7 +63,7 @@ pub struct EstimateReport {
 /// leave holes in `e⁻⁴`, below 2 %, of a random cloud and none in a regular one. The normal is the
 /// eigenvector of the smallest eigenvalue of the covariance of the surfel and its neighbors, on the
 /// side of `up`; where that eigenvalue is above 0.3 times the middle one, as in foliage, or all lie
-/// on a line, the surfel stays isotropic. Sizes are at least one cell of the finest level.
+/// on a line, the surfel stays isotropic. A lone surfel far from a dense clump gets at most four times the area of its neighbors. Sizes are at least one cell of the finest level.
 ///
 /// Neighbors are found among the 8192 surfels before and behind in Morton order, so beside the edges
 /// of large cells some are missed. Reads the stream once; 2 MiB of memory, within the 6 MiB every sort sets
@@ -208,7 +212,14 @@ fn estimate_surfel(
     let nearest = search.nearest(index);
     if lacks_size {
         outcome.size = true;
-        (surfel.radius, surfel.area) = size_of_neighborhood(&nearest, root);
+        let reach = if nearest.is_sampled() || is_lone(surfels, index, &nearest) {
+            // Its neighbors' size, not that of the gap between them.
+            let beside = nearest.indices().next().map_or(0.0, |i| search.nearest(i).reach());
+            nearest.reach().min(LONE_RATIO * beside)
+        } else {
+            nearest.reach()
+        };
+        (surfel.radius, surfel.area) = size_of_neighborhood(nearest.len(), reach, root);
     }
     if lacks_normal {
         match normal_of_neighborhood(surfels, index, &nearest) {
@@ -224,16 +235,30 @@ fn estimate_surfel(
     (surfel, outcome)
 }
 
-/// Radius and area of a surfel with these neighbors.
-fn size_of_neighborhood(nearest: &Nearest, root: &RootCube) -> (f32, f32) {
+/// Radius and area of a surfel whose `count` nearest neighbors lie within `reach`.
+fn size_of_neighborhood(count: usize, reach: f32, root: &RootCube) -> (f32, f32) {
     let cell_edge = root.edge / (1u32 << MORTON_AXIS_BITS) as f32;
-    let (reach, count) = match nearest.len() {
+    let (reach, count) = match count {
         // A cloud of one surfel has no scale but that of its cube.
         0 => (root.edge, 1.0),
-        count => (nearest.reach().max(cell_edge), count as f32 + 0.5),
+        count => (reach.max(cell_edge), count as f32 + 0.5),
     };
     let area = (PI * reach * reach / count).max(f32::MIN_POSITIVE);
     (2.0 * (area / PI).sqrt(), area)
+}
+
+/// Whether a surfel stands apart from its neighbors: they lie closer together than it lies to them.
+fn is_lone(surfels: &[Surfel], index: usize, nearest: &Nearest) -> bool {
+    if nearest.len() < PLANE_NEIGHBORS_MIN {
+        return false;
+    }
+    let center = surfels[index].center();
+    let offset = |i: usize| surfels[i].center() - center;
+    let mean = nearest.indices().map(offset).sum::<Vec3>() / nearest.len() as f32;
+    let squares = nearest.indices().map(|i| (offset(i) - mean).length_squared()).sum::<f32>();
+    // Of an even disk of radius r around it the variance is r²/2.
+    let spread = (2.0 * squares / nearest.len() as f32).sqrt();
+    nearest.reach() > LONE_RATIO * spread
 }
 
 /// Unit normal of the plane through a surfel and its neighbors, if they lie on one.
@@ -309,6 +334,16 @@ mod tests {
             })
             .collect();
         (surfels, normal, 900.0)
+    }
+
+    #[test]
+    fn a_lone_point_gets_the_size_of_its_neighbors() {
+        let (mut surfels, normal, area) = plane(10_000, 0.5);
+        let each = area / surfels.len() as f64;
+        surfels.push(bare(surfels[5050].center() + normal * 10.0));
+        let (_, _, estimated) = estimate(&surfels, 64 << 20, 1);
+        let largest = estimated.iter().map(|s| f64::from(s.area)).fold(0.0, f64::max);
+        assert!(largest < 8.0 * each, "{largest} {each}");
     }
 
     #[test]

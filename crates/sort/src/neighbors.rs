@@ -18,10 +18,12 @@ const RETRIES: u32 = 4;
 pub(crate) struct Nearest {
     len: usize,
     entries: [(f32, u32); NEIGHBORS],
+    is_sampled: bool,
 }
 
 impl Nearest {
-    const NONE: Self = Self { len: 0, entries: [(f32::INFINITY, u32::MAX); NEIGHBORS] };
+    const NONE: Self =
+        Self { len: 0, entries: [(f32::INFINITY, u32::MAX); NEIGHBORS], is_sampled: false };
 
     /// Neighbors found, at most [`NEIGHBORS`].
     pub fn len(&self) -> usize {
@@ -36,6 +38,11 @@ impl Nearest {
     /// Distance to the farthest one found; 0 if there is none.
     pub fn reach(&self) -> f32 {
         self.entries[..self.len].last().map_or(0.0, |e| e.0.sqrt())
+    }
+
+    /// Whether not all surfels around were looked at, because they are many: a sign of a surfel far from a dense clump.
+    pub fn is_sampled(&self) -> bool {
+        self.is_sampled
     }
 
     #[inline]
@@ -134,6 +141,7 @@ impl<'a> NeighborSearch<'a> {
         let mut nearest = Nearest::NONE;
         for range in &self.ranges {
             let stride = range.len().div_ceil(CELL_SURFELS_MAX);
+            nearest.is_sampled |= stride > 1;
             for other in range.clone().step_by(stride) {
                 if other != index {
                     let distance2 = self.surfels[other].center().distance_squared(center);

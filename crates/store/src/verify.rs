@@ -33,8 +33,8 @@ pub struct VerifyReport {
 }
 
 impl Octree {
-    /// Reads the whole file and checks every page's checksum, every link (each group and each surfel reached exactly
-    /// once), every box (a child's inside its parent's), and the header's totals.
+    /// Reads the whole file and checks every page's checksum, every link from the root on (that it leads to a whole group or leaf,
+    /// and never back), every box (a child's inside its parent's), that every surfel has a place and a size, and the header's totals.
     ///
     /// # Errors
     ///

@@ -48,6 +48,19 @@ fn receivers_come_back_with_their_light_and_their_columns() {
     shade(&[&arguments[..], &["--force"]].concat());
 }
 
+/// Shades every surfel of a file, at a solid angle; returns the statistics.
+fn shade_surfels(
+    octree: &Path,
+    output: &Path,
+    solid_angle: &str,
+    more: &[&str],
+) -> serde_json::Value {
+    let paths = [text(octree), "--surfels", "-o", text(output), "--force"];
+    let rest = ["--solid-angle", solid_angle, "--progress", "none", "--stats-json", "-"];
+    let json = shade(&[&paths[..], &rest, more].concat());
+    serde_json::from_str(&json).unwrap()
+}
+
 #[test]
 fn every_surfel_is_shaded_once() {
     let folder = tempfile::tempdir().unwrap();
@@ -55,21 +68,7 @@ fn every_surfel_is_shaded_once() {
     let octree = octree();
     let (mut bytes, mut counts) = (Vec::new(), Vec::new());
     for threads in ["1", "2"] {
-        let json = shade(&[
-            text(&octree),
-            "--surfels",
-            "-o",
-            text(&output),
-            "--force",
-            "--threads",
-            threads,
-            "--solid-angle",
-            "0.3",
-            "-q",
-            "--stats-json",
-            "-",
-        ]);
-        let stats: serde_json::Value = serde_json::from_str(&json).unwrap();
+        let stats = shade_surfels(&octree, &output, "0.3", &["--threads", threads]);
         counts.push(stats["surfels"].as_u64().unwrap());
         bytes.push(std::fs::read(&output).unwrap());
     }
@@ -86,22 +85,7 @@ fn the_measured_error_vanishes_with_the_solid_angle() {
     bake_to("demo:room", 4000, &octree);
     let output = folder.path().join("out.ply");
     let error = |solid_angle: &str| {
-        let json = shade(&[
-            text(&octree),
-            "--surfels",
-            "-o",
-            text(&output),
-            "--force",
-            "--solid-angle",
-            solid_angle,
-            "--check",
-            "50",
-            "--stats-json",
-            "-",
-            "--progress",
-            "none",
-        ]);
-        let stats: serde_json::Value = serde_json::from_str(&json).unwrap();
+        let stats = shade_surfels(&octree, &output, solid_angle, &["--check", "50"]);
         assert_eq!(stats["check"]["quantity"], "irradiance");
         stats["check"]["rrmse"].as_f64().unwrap()
     };
