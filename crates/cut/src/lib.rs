@@ -9,5 +9,5 @@ mod metric;
 mod pick;
 
 pub use cluster::{Cluster, Piece};
-pub use metric::{Threshold, UniformThreshold};
+pub use metric::{CosineThreshold, NodeSeen, Threshold, UniformThreshold};
 pub use pick::{CutReceiver, CutScratch, CutStats, CutVisitor, SurfelSeen, pick_cut};

@@ -1,10 +1,10 @@
 //! The walk: depth first, children front to back.
 
 use crate::cluster::Cluster;
-use crate::metric::Threshold;
+use crate::metric::{NodeSeen, Threshold};
 use pbgi_format::{
-    CHILDREN_MAX, ChildLink, FormatError, GroupView, LeafSurfel, NodePage, PageId, SurfelLayout,
-    SurfelPage,
+    CHILDREN_MAX, ChildLink, FormatError, GroupView, LeafSurfel, Lobe, NodePage, PageId,
+    SurfelLayout, SurfelPage,
 };
 use pbgi_math::{Aabb, Vec3};
 use pbgi_store::{PageRef, Reader, StoreError};
@@ -253,6 +253,12 @@ fn open_frame<T: Threshold>(
             top[lane] += n * center + n.abs() * half;
         }
     }
+    let mut planes = 0u32;
+    for index in 0..group.child_count() {
+        let lobes = group.lobe_bytes(index, layout.channels);
+        let is_one = lobes.len() == Lobe::stored_bytes(layout.channels);
+        planes |= u32::from(is_one && Lobe::is_filled_plane(lobes)) << index;
+    }
     let (mut below, mut large) = (0u32, 0u32);
     for lane in 0..CHILDREN_MAX {
         let center = Vec3::new(
@@ -260,7 +266,13 @@ fn open_frame<T: Threshold>(
             0.5 * (low[1][lane] + high[1][lane]),
             0.5 * (low[2][lane] + high[2][lane]),
         );
-        let limit = threshold.sin2_max(center, distance2[lane], radius2[lane]) * distance2[lane];
+        let seen = NodeSeen {
+            to_center: center,
+            distance2: distance2[lane],
+            radius2: radius2[lane],
+            is_plane: planes >> lane & 1 != 0,
+        };
+        let limit = threshold.sin2_max(&seen) * distance2[lane];
         below |= u32::from(top[lane] <= receiver.bias) << lane;
         large |= u32::from(radius2[lane] > limit) << lane;
     }

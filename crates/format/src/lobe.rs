@@ -6,6 +6,12 @@ use pbgi_math::{SharedExponent, Vec3, decode_octahedral24, encode_octahedral24};
 /// Most lobes a node may have.
 pub const LOBES_MAX: usize = 4;
 
+/// Largest code of `h/(|V| + h)` of a plane: normals of a few degrees' scatter.
+const PLANE_WIDTH_CODE: u8 = 3;
+
+/// Least code of the fill of a lobe that fills its section, 0.95.
+const FILLED_CODE: u8 = 242;
+
 /// Surfels of similar normals and radiance, summed.
 ///
 /// With the vector area `V = Σ aᵢ nᵢ` and the width `h`, the front shows toward the unit direction `d`
@@ -48,6 +54,13 @@ impl Lobe {
     #[inline(always)]
     pub fn back_area(&self, d: Vec3) -> f32 {
         if self.blocks_back { self.front_area(-d) } else { 0.0 }
+    }
+
+    /// Whether a stored lobe is a plane that fills the section of its node's box: what is drawn for it is what is there.
+    #[must_use]
+    #[inline(always)]
+    pub fn is_filled_plane(stored: &[u8]) -> bool {
+        stored[6] <= PLANE_WIDTH_CODE && stored[7] >= FILLED_CODE
     }
 
     /// Bytes of a stored lobe.

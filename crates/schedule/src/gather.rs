@@ -4,8 +4,8 @@ use crate::light::{PreparedLight, PreparedPeak};
 use crate::receiver::{Receiver, Shading};
 use pbgi_brdf::{ConvolutionTable, convolve_diffuse};
 use pbgi_cut::{
-    Cluster, CutReceiver, CutScratch, CutStats, CutVisitor, Piece, SurfelSeen, UniformThreshold,
-    pick_cut,
+    Cluster, CosineThreshold, CutReceiver, CutScratch, CutStats, CutVisitor, Piece, SurfelSeen,
+    UniformThreshold, pick_cut,
 };
 use pbgi_format::LeafSurfel;
 use pbgi_math::{Aabb, Vec3};
@@ -32,7 +32,8 @@ pub enum GatherParts {
 /// Quality of a gather.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GatherSettings {
-    /// Largest solid angle of a node that is taken as one, in steradians; 0 takes every surfel.
+    /// Largest solid angle of a node that is taken as one, in steradians, if it lies along the normal and is no plane (see
+    /// [`pbgi_cut::CosineThreshold`]); 0 takes every surfel.
     pub solid_angle_sr: f32,
     /// Texels along a face of the cube raster, 1 to 64.
     pub raster_edge: usize,
@@ -50,7 +51,7 @@ pub struct GatherSettings {
 impl Default for GatherSettings {
     fn default() -> Self {
         Self {
-            solid_angle_sr: 0.1,
+            solid_angle_sr: 0.08,
             raster_edge: 8,
             bias: 0.4,
             parts: GatherParts::All,
@@ -79,7 +80,6 @@ pub struct Gatherer<'a> {
     raster: CubeRaster,
     window_raster: WindowRaster,
     scratch: CutScratch,
-    threshold: UniformThreshold,
     stats: CutStats,
 }
 
@@ -101,7 +101,6 @@ impl<'a> Gatherer<'a> {
             table: ConvolutionTable::new(&table),
             window_raster: WindowRaster::default(),
             scratch: CutScratch::default(),
-            threshold: UniformThreshold::new(settings.solid_angle_sr),
             stats: CutStats::default(),
         }
     }
@@ -151,6 +150,7 @@ impl<'a> Gatherer<'a> {
     #[inline(always)]
     fn gather_broad<L: Lanes>(&mut self, receiver: &CutReceiver) -> Result<Shading, StoreError> {
         self.raster.clear::<L>(receiver.normal);
+        let threshold = CosineThreshold::new(self.settings.solid_angle_sr, receiver.normal);
         let mut visitor = CubeVisitor::<L> {
             raster: &mut self.raster,
             footprint: Footprint::default(),
@@ -160,7 +160,7 @@ impl<'a> Gatherer<'a> {
         pick_cut(
             &mut self.reader,
             receiver,
-            &self.threshold,
+            &threshold,
             &mut visitor,
             &mut self.scratch,
             &mut self.stats,
