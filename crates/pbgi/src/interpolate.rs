@@ -25,7 +25,7 @@ const REACH_BLOCKS: f32 = 1.5;
 const PLANE_BLOCKS: f32 = 0.25;
 
 /// Standard deviation over mean of what the leaders receive up to which it is interpolated.
-const SPREAD_MAX: f32 = 0.25;
+const SPREAD_MAX: f32 = 0.32;
 
 /// Weight of a piece's own leader on top of what it deserves, so that the sum is never 0.
 const OWN_WEIGHT: f32 = 1e-3;
