@@ -42,11 +42,19 @@ pub(crate) fn check_output(output: &Path, force: bool, inputs: &[String]) -> Res
             )));
         }
     }
+    let folder = folder_of(output);
+    if !folder.is_dir() {
+        let missing = std::io::Error::new(
+            std::io::ErrorKind::NotFound,
+            format!("there is no folder {}; make it first", folder.display()),
+        );
+        return Err(PbgiError::output(output, "create", missing));
+    }
     tempfile::Builder::new()
         .prefix(".pbgi-")
-        .tempfile_in(folder_of(output))
+        .tempfile_in(folder)
         .map(drop)
-        .map_err(|e| PbgiError::output(output, "create a file for", e))
+        .map_err(|e| PbgiError::output(output, "create", e))
 }
 
 /// Name of the octree of an unfinished light pass in `temp_dir`. Always the same for the same
