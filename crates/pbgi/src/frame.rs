@@ -1,67 +1,24 @@
 //! A picture: what a camera sees, shaded, as an image with many channels.
 
-use crate::camera_choice::{CameraChoice, CameraContext};
+use crate::band::{Band, Piece};
+use crate::camera_choice::CameraContext;
+use crate::frame_request::FrameRequest;
 use crate::interpolate::Groups;
 use crate::memory_split::MemorySplit;
 use crate::output::FrameImage;
 use crate::progress::Phase;
-use crate::shade::{Session, ShadeReport, ShadeSettings, read_header, up_axis};
+use crate::shade::{Session, ShadeReport, read_header, up_axis};
 use crate::splat::hide_surfels;
 use crate::{PbgiError, Progress};
 use pbgi_format::Header;
-use pbgi_image::{
-    Aov, AovNames, AttributeValue, Image, ToneMap, auto_exposure, write_exr, write_png,
-};
+use pbgi_image::{AttributeValue, Image, ToneMap, auto_exposure, write_exr, write_png};
 use pbgi_math::{DVec3, Vec3};
-use pbgi_scene::{CameraView, Coverage, HideOptions, Micropolygon, PixelWindow, Scene, hide};
+use pbgi_scene::{CameraView, HideOptions, Micropolygon, PixelWindow, Scene, hide};
 use pbgi_schedule::{GatherParts, Receiver, Shading};
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
-
-/// What picture to make.
-#[derive(Clone, Debug)]
-pub struct FrameRequest<'a> {
-    /// The octree file that lights and blocks.
-    pub octree: &'a Path,
-    /// The scene whose visible surfaces are shaded, in the world coordinates the octree was baked in.
-    /// Without one, the surfels of the octree themselves are drawn and shaded.
-    pub scene: Option<&'a Scene>,
-    /// The camera.
-    pub camera: CameraChoice,
-    /// Pixels along a row.
-    pub width: u32,
-    /// Rows.
-    pub height: u32,
-    /// Samples per pixel for coverage: 1, 4, 8 or 16.
-    pub samples: u32,
-    /// Wanted area of a micropolygon in pixels.
-    pub shading_rate: f32,
-    /// Edge in pixels of the blocks in which pieces share gathers of broad light, 0 to 64; with 0 each piece gathers for
-    /// itself. Pictures without a scene do not share.
-    pub share_pixels: u32,
-    /// Channels to make.
-    pub aovs: Vec<Aov>,
-    /// Names of the channels.
-    pub names: AovNames,
-    /// Quality, light and resources.
-    pub settings: ShadeSettings,
-}
-
-/// The quantities a frame can have.
-pub const FRAME_AOVS: [Aov; 10] = [
-    Aov::Beauty,
-    Aov::DiffuseIndirect,
-    Aov::Irradiance,
-    Aov::Occlusion,
-    Aov::SkyVisibility,
-    Aov::BentNormal,
-    Aov::Position,
-    Aov::Normal,
-    Aov::Depth,
-    Aov::Albedo,
-];
 
 /// A shaded picture with what is known of it.
 #[derive(Clone, Debug)]
@@ -106,44 +63,6 @@ impl Frame {
         let tone = ToneMap { exposure, filmic: self.is_lit };
         Ok(write_png(path, width, height, &self.preview, tone)?)
     }
-}
-
-/// A visible piece of surface: a micropolygon or a surfel. Positions are relative to the frame's
-/// origin.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Piece {
-    pub position: Vec3,
-    /// Unit normal to shade with, toward the camera.
-    pub normal: Vec3,
-    /// Unit normal of its plane.
-    pub plane: Vec3,
-    pub radius: f32,
-    pub albedo: [f32; 3],
-    pub emission: [f32; 3],
-    /// Whether it is the back of a single-sided surface.
-    pub is_back: bool,
-}
-
-impl From<&Micropolygon> for Piece {
-    fn from(m: &Micropolygon) -> Self {
-        Self {
-            position: m.position,
-            normal: m.normal,
-            plane: m.geometric_normal,
-            radius: m.radius,
-            albedo: m.albedo,
-            emission: m.emission,
-            is_back: m.back,
-        }
-    }
-}
-
-/// What a band of the image shows.
-pub(crate) struct Band {
-    pub pieces: Vec<Piece>,
-    /// Of surfels, their numbers in the file; empty for micropolygons, which no two bands share.
-    pub ids: Vec<u64>,
-    pub coverage: Coverage,
 }
 
 /// Makes a picture.
@@ -446,7 +365,11 @@ fn frame_bytes(request: &FrameRequest<'_>) -> (u64, u64) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::camera_choice::CameraChoice;
+    use crate::frame_request::FRAME_AOVS;
+    use crate::shade::ShadeSettings;
     use crate::{BakeRequest, EnvironmentSpec, LightSource, Sampling, bake, load_scene};
+    use pbgi_image::AovNames;
 
     fn request<'a>(octree: &'a Path, scene: Option<&'a Scene>) -> FrameRequest<'a> {
         let source = LightSource::Uniform([1.0, 2.0, 3.0]);

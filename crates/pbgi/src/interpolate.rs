@@ -6,7 +6,7 @@
 //! its own and the eight blocks around it, weighted by how near they are in the image, how much they face the same way and
 //! how near its plane they lie; where leaders differ much it gathers for itself. Groups depend on what is visible in the blocks alone, not on the bands in which an image is made.
 
-use crate::frame::Piece;
+use crate::band::Piece;
 use pbgi_math::{Vec2, Vec3, luminance};
 use pbgi_scene::CameraView;
 use pbgi_schedule::Shading;

@@ -1,7 +1,8 @@
 //! Results on their way into files: channels of a frame, attributes, and outputs tried beforehand.
 
 use crate::PbgiError;
-use crate::frame::{Band, FrameRequest, Piece};
+use crate::band::{Band, Piece};
+use crate::frame_request::FrameRequest;
 use crate::shade::ShadeReport;
 use pbgi_image::{Aov, AovNames, AttributeValue, Image};
 use pbgi_light::Environment;

@@ -1,7 +1,7 @@
 //! What a camera sees of an octree's own surfels, for files without a mesh.
 
 use crate::PbgiError;
-use crate::frame::{Band, Piece};
+use crate::band::{Band, Piece};
 use pbgi_format::LeafSurfel;
 use pbgi_math::Vec3;
 use pbgi_scene::{CameraView, Disk, HideOptions, VisibleSurfels, hide_disks};

@@ -5,6 +5,7 @@ use crate::lanes::{Lanes, SAMPLES};
 use crate::samples::{Veil, place, sample_near};
 use crate::shape::Shape;
 use crate::table::{CubeRasterTable, LANES};
+use crate::texel_light::TexelLight;
 use pbgi_math::{CubeFace, Vec3};
 
 /// Most shapes that are drawn together.
@@ -15,12 +16,6 @@ const ALL: u16 = u16::MAX;
 
 /// Solid angle, in steradians, up to which a piece's own solid angle is better than the count of its samples.
 const SMALL_SR: f32 = 0.06;
-
-/// Least share of a texel with which a piece counts for what its rest looks like.
-const MAIN_SHARE: f32 = 0.02;
-
-/// Mean brightness over that of the dimmest piece up to which a texel counts as one surface without lamps.
-const EVEN: f32 = 2.0;
 
 /// How a piece covers and shines.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -78,19 +73,6 @@ struct Texel {
     above: u16,
 }
 
-/// Light of a texel.
-#[derive(Clone, Copy, Debug, Default)]
-#[repr(C, align(32))]
-struct Light {
-    /// Σ of radiance × share of the texel.
-    radiance: [f32; 3],
-    /// Σ of shares.
-    weight: f32,
-    /// Radiance of the dimmest piece, and the sum of its channels; that is negative at first.
-    dimmest: [f32; 3],
-    brightness: f32,
-}
-
 /// Samples of a texel that a piece met.
 #[derive(Clone, Copy, Debug)]
 struct Hit {
@@ -120,7 +102,7 @@ pub struct CubeRaster {
     stride: usize,
     shines: bool,
     texels: Vec<Texel>,
-    lights: Vec<Light>,
+    lights: Vec<TexelLight>,
     /// Inverse depth along the face's axis of what covers each sample.
     depths: Vec<[f32; SAMPLES]>,
     /// Texels that are not wholly covered, one bit each, per row of each face.
@@ -148,7 +130,7 @@ impl CubeRaster {
             stride,
             shines,
             texels: vec![Texel::default(); 6 * n * stride],
-            lights: vec![Light::default(); 6 * n * stride],
+            lights: vec![TexelLight::NONE; 6 * n * stride],
             depths: vec![[0.0; SAMPLES]; 6 * n * stride],
             open: vec![0; 6 * n],
             scale: 0.5 * n as f32,
@@ -168,7 +150,7 @@ impl CubeRaster {
     #[inline(always)]
     pub fn clear<L: Lanes>(&mut self, normal: Vec3) {
         if self.shines {
-            self.lights.fill(Light { brightness: -1.0, ..Light::default() });
+            self.lights.fill(TexelLight::NONE);
         }
         let step = self.step;
         for face in CubeFace::ALL {
@@ -428,36 +410,6 @@ impl CubeRaster {
     }
 }
 
-impl Light {
-    /// Radiance of a texel that is covered wholly, with shares that sum to one.
-    #[inline(always)]
-    fn made_whole(&self) -> [f32; 3] {
-        let inverse = 1.0 / crate::larger(self.weight, 1e-6);
-        let mean = self.radiance.map(|sum| sum * inverse);
-        if self.brightness < 0.0 && self.weight > 1.0 {
-            // Nothing large enough to take the excess from.
-            return self.radiance;
-        }
-        if self.brightness < 0.0 || mean[0] + mean[1] + mean[2] <= EVEN * self.brightness {
-            return mean;
-        }
-        let missing = 1.0 - self.weight;
-        std::array::from_fn(|c| crate::larger(self.radiance[c] + missing * self.dimmest[c], 0.0))
-    }
-
-    #[inline(always)]
-    fn add(&mut self, share: f32, radiance: &[f32; 3]) {
-        for (sum, light) in self.radiance.iter_mut().zip(radiance) {
-            *sum += share * light;
-        }
-        self.weight += share;
-        let brightness = radiance[0] + radiance[1] + radiance[2];
-        if share > MAIN_SHARE && (brightness < self.brightness || self.brightness < 0.0) {
-            (self.dimmest, self.brightness) = (*radiance, brightness);
-        }
-    }
-}
-
 /// The smaller of two indices.
 #[inline(always)]
 fn smaller_index(a: usize, b: usize) -> usize {
@@ -471,357 +423,4 @@ fn larger_than_zero(count: f32) -> f32 {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::lanes::Plain;
-    use crate::{Disk, Section, SimdLevel, Tile, WideKernel, run_wide};
-    use pbgi_math::Aabb;
-    use std::f32::consts::PI;
-
-    fn ink(solid_angle: f32, light: f32) -> Ink {
-        Ink { veil: Veil::OPAQUE, solid_angle, radiance: [light; 3], tolerance: 0.01 }
-    }
-
-    /// Draws the part of the plane through `point` with `normal` in a box.
-    fn draw_section(raster: &mut CubeRaster, (low, high): (Vec3, Vec3), normal: Vec3, ink: &Ink) {
-        let point = (low + high) * 0.5;
-        let section = Section { inverse: normal / normal.dot(point), low, high };
-        let footprint = raster.footprint(low, high);
-        raster.draw::<Plain, _>(&[(section, *ink)], &footprint, point);
-    }
-
-    fn is_box_open(raster: &CubeRaster, low: Vec3, high: Vec3) -> bool {
-        raster.is_open(&raster.footprint(low, high))
-    }
-
-    fn irradiance(raster: &CubeRaster, table: &CubeRasterTable, normal: Vec3) -> f32 {
-        let texels = table.texels().iter().enumerate();
-        texels
-            .map(|(i, t)| {
-                raster.chunk(i / LANES).radiance[0][i % LANES] * normal.dot(t.vector).max(0.0)
-            })
-            .sum()
-    }
-
-    /// Irradiance of a disk of radiance 1; its solid angle by counting samples.
-    fn disk_irradiance(n: usize, center: Vec3, normal: Vec3, receiver_normal: Vec3) -> f32 {
-        let table = CubeRasterTable::new(n);
-        let mut raster = CubeRaster::new(&table, true);
-        raster.clear::<Plain>(receiver_normal);
-        let inverse = normal / normal.dot(center);
-        let disk = Disk { inverse, center, radius: 1.0, distance_min: 0.0 };
-        let aabb = Aabb::from_disk(center, normal, 1.0);
-        let footprint = raster.footprint(aabb.min, aabb.max);
-        raster.draw::<Plain, _>(&[(disk, ink(1.0, 1.0))], &footprint, center);
-        irradiance(&raster, &table, receiver_normal)
-    }
-
-    #[test]
-    fn a_parallel_disk_has_the_analytic_form_factor() {
-        for (distance, n, tolerance) in
-            [(0.25, 8, 0.01), (0.5, 8, 0.01), (1.0, 8, 0.02), (3.0, 16, 0.03)]
-        {
-            // E = π L r² / (r² + d²) for a parallel disk on the axis.
-            let exact = PI / (1.0 + distance * distance);
-            let found = disk_irradiance(n, Vec3::Y * distance, Vec3::NEG_Y, Vec3::Y);
-            assert!((found / exact - 1.0).abs() < tolerance, "{distance}: {found} {exact}");
-        }
-    }
-
-    #[test]
-    fn a_perpendicular_disk_matches_quadrature() {
-        // A disk standing beside the receiver, half of it below the horizon.
-        let mut exact = 0f64;
-        let steps = 400;
-        for i in 0..steps {
-            for j in 0..steps {
-                let (y, z) = (
-                    -1.0 + 2.0 * (i as f32 + 0.5) / steps as f32,
-                    -1.0 + 2.0 * (j as f32 + 0.5) / steps as f32,
-                );
-                if y > 0.0 && y * y + z * z <= 1.0 {
-                    let p = Vec3::new(1.3, y, z);
-                    let d2 = p.length_squared();
-                    exact += f64::from(y * 1.3 / (d2 * d2)) * 4.0 / f64::from(steps * steps);
-                }
-            }
-        }
-        let found = f64::from(disk_irradiance(8, Vec3::X * 1.3, Vec3::NEG_X, Vec3::Y));
-        assert!((found / exact - 1.0).abs() < 0.03, "{found} {exact}");
-    }
-
-    #[test]
-    fn small_pieces_carry_their_solid_angle_wherever_they_fall() {
-        let table = CubeRasterTable::new(8);
-        let mut raster = CubeRaster::new(&table, true);
-        // Tiny ones exactly; where one covers a texel wholly, its share of it is rounded to 1.
-        for (radius, tolerance) in [(0.02f32, 1e-3), (0.1, 1e-3), (0.4, 0.1)] {
-            for i in 0..400u32 {
-                let z = -1.0 + 2.0 * (i as f32 + 0.5) / 400.0;
-                let phi = i as f32 * 2.399_963;
-                let r = (1.0 - z * z).sqrt();
-                let d = Vec3::new(r * phi.cos(), r * phi.sin(), z);
-                raster.clear::<Plain>(d);
-                let (center, solid_angle) = (d * 5.0, PI * radius * radius / 25.0);
-                let disk = Disk { inverse: d / 5.0, center, radius, distance_min: 0.0 };
-                let aabb = Aabb::from_disk(center, d, radius);
-                let footprint = raster.footprint(aabb.min, aabb.max);
-                raster.draw::<Plain, _>(&[(disk, ink(solid_angle, 1.0))], &footprint, center);
-                let texels = table.texels().iter().enumerate();
-                let found: f32 = texels
-                    .map(|(i, t)| raster.chunk(i / LANES).radiance[0][i % LANES] * t.solid_angle_sr)
-                    .sum();
-                let error = found / solid_angle - 1.0;
-                assert!(error.abs() < tolerance, "{i} {radius}: {error}");
-            }
-        }
-    }
-
-    #[test]
-    fn tiles_of_a_closed_box_leave_no_sample_open() {
-        let table = CubeRasterTable::new(8);
-        let mut raster = CubeRaster::new(&table, true);
-        raster.clear::<Plain>(Vec3::Y);
-        let (cells, mut sum) = (12, 0.0);
-        for axis in 0..3 {
-            for side in [-1.0f32, 1.0] {
-                for i in 0..cells * cells {
-                    let at = |i: i32| -1.0 + 2.0 * i as f32 / cells as f32;
-                    let mut low = Vec3::ZERO;
-                    low[axis] = side;
-                    low[(axis + 1) % 3] = at(i % cells);
-                    low[(axis + 2) % 3] = at(i / cells);
-                    let mut high = low;
-                    high[(axis + 1) % 3] += 2.0 / cells as f32;
-                    high[(axis + 2) % 3] += 2.0 / cells as f32;
-                    let normal = Vec3::AXES[axis] * side;
-                    let center = (low + high) * 0.5;
-                    let d2 = center.length_squared();
-                    let solid_angle = 4.0 / (cells * cells) as f32 / (d2 * d2.sqrt());
-                    let margin = 1e-4;
-                    let bounds = (low - margin, high + margin);
-                    draw_section(&mut raster, bounds, normal, &ink(solid_angle, 2.0));
-                    sum += solid_angle;
-                }
-            }
-        }
-        assert!((sum / (4.0 * PI) - 1.0).abs() < 0.01);
-        for (i, texel) in table.texels().iter().enumerate() {
-            if texel.direction.y > 0.0 {
-                assert!(raster.openness(i) == 0.0, "texel {i} is open");
-            }
-        }
-        let found = irradiance(&raster, &table, Vec3::Y);
-        assert!((found / (2.0 * PI) - 1.0).abs() < 2e-3, "{found}");
-        assert!(!is_box_open(&raster, Vec3::splat(3.0), Vec3::splat(3.5)));
-    }
-
-    /// Draws an opaque tile of radiance 1, its edges scaled by `reserve`.
-    fn draw_tile(raster: &mut CubeRaster, center: Vec3, halves: [Vec3; 2], reserve: f32) {
-        let edges = halves.map(Vec3::normalize);
-        let normal = edges[0].cross(edges[1]);
-        let tile = Tile {
-            inverse: normal / normal.dot(center),
-            center,
-            edges,
-            half: halves.map(|half| half.length() * reserve),
-            distance_min: 0.0,
-        };
-        let (d2, area) = (center.length_squared(), 4.0 * halves[0].length() * halves[1].length());
-        let ink = ink(area * normal.dot(center).abs() / (d2 * d2.sqrt()), 1.0);
-        let bounds = tile.bounds();
-        let footprint = raster.footprint(bounds.min, bounds.max);
-        raster.draw::<Plain, _>(&[(tile, ink)], &footprint, center);
-    }
-
-    #[test]
-    fn rectangles_that_tile_a_plane_leave_no_sample_open() {
-        let table = CubeRasterTable::new(16);
-        let mut raster = CubeRaster::new(&table, true);
-        // A ceiling of oblong tiles, turned in its plane and tilted.
-        let normal = Vec3::new(0.2, -1.0, 0.1).normalize();
-        let first = Vec3::new(0.8, 0.0, -0.5).cross(normal).normalize();
-        let halves = [first * 0.3, normal.cross(first) * 0.12];
-        for (reserve, complete) in [(1.001, true), (0.9, false)] {
-            raster.clear::<Plain>(Vec3::Y);
-            for i in -30..=30 {
-                for j in -80..=80 {
-                    let (i, j) = (i as f32 * 2.0, j as f32 * 2.0);
-                    let center = normal * -1.0 + halves[0] * i + halves[1] * j;
-                    draw_tile(&mut raster, center, halves, reserve);
-                }
-            }
-            let mut open = 0.0;
-            for (i, texel) in table.texels().iter().enumerate() {
-                if texel.direction.dot(normal) < -0.25 {
-                    open += raster.openness(i);
-                }
-            }
-            assert_eq!(open == 0.0, complete, "{reserve}: {open}");
-        }
-    }
-
-    #[test]
-    fn a_rectangle_has_the_analytic_form_factor_and_no_point_beyond_its_edges() {
-        let table = CubeRasterTable::new(16);
-        let mut raster = CubeRaster::new(&table, true);
-        let (a, b) = (2.0f32, 0.25);
-        for turn in [0.0f32, 0.4, 1.2] {
-            raster.clear::<Plain>(Vec3::Y);
-            let (sin, cos) = turn.sin_cos();
-            let halves = [Vec3::new(cos, 0.0, sin) * a, Vec3::new(-sin, 0.0, cos) * b];
-            draw_tile(&mut raster, Vec3::Y, halves, 1.0);
-            // E = 2 L (a/√(1+a²) atan(b/√(1+a²)) + b/√(1+b²) atan(a/√(1+b²))), four quarters.
-            let (p, q) = ((1.0 + a * a).sqrt(), (1.0 + b * b).sqrt());
-            let exact = 2.0 * (a / p * (b / p).atan() + b / q * (a / q).atan());
-            let found = irradiance(&raster, &table, Vec3::Y);
-            assert!((found / exact - 1.0).abs() < 0.02, "{turn}: {found} {exact}");
-            for (i, texel) in table.texels().iter().enumerate() {
-                let at = texel.direction / texel.direction.y;
-                let beyond = |half: Vec3| at.dot(half) > 1.3 * half.length_squared() + 0.3;
-                if texel.direction.y <= 0.0 || beyond(halves[0]) || beyond(halves[1]) {
-                    let open = raster.openness(i);
-                    assert!(texel.direction.y < 0.2 || open == 1.0, "{turn} {at}: {open}");
-                }
-            }
-        }
-    }
-
-    #[test]
-    fn nearer_pieces_hide_farther_ones_but_not_their_neighbors() {
-        let table = CubeRasterTable::new(8);
-        let mut raster = CubeRaster::new(&table, true);
-        let (low, high) = (Vec3::new(-0.6, 0.99, -0.6), Vec3::new(0.6, 1.01, 0.6));
-        let up = table.texel_index(Vec3::new(0.05, 1.0, 0.05));
-        // Of the second, at the first's depth or far behind it, all or nothing is seen.
-        for (scale, expected) in [(1.0, 0.7), (2.0, 0.2)] {
-            raster.clear::<Plain>(Vec3::Y);
-            let whole = table.texels()[up].solid_angle_sr;
-            draw_section(&mut raster, (low, high), Vec3::Y, &ink(1.0, 0.0));
-            let light = raster.chunk(up / LANES).radiance[0][up % LANES];
-            assert_eq!(light, 0.0);
-            let small = Vec3::new(0.05, 1.0, 0.05) * scale;
-            let piece = (small - 0.01, small + 0.01);
-            // Tiny: met by no sample or one.
-            draw_section(&mut raster, piece, Vec3::Y, &ink(0.5 * whole, 1.4));
-            draw_section(&mut raster, (low * 3.0, high * 3.0), Vec3::Y, &ink(2.0, 9.0));
-            let found = raster.lights[up].radiance[0];
-            let expected = if scale == 1.0 { expected } else { 0.0 };
-            assert!((found - expected).abs() < 1e-4, "{scale}: {found}");
-        }
-    }
-
-    #[test]
-    fn shares_of_a_covered_texel_sum_to_one() {
-        let table = CubeRasterTable::new(8);
-        let mut raster = CubeRaster::new(&table, true);
-        raster.clear::<Plain>(Vec3::Y);
-        let up = table.texel_index(Vec3::new(0.05, 1.0, 0.05));
-        let whole = table.texels()[up].solid_angle_sr;
-        let (low, high) = (Vec3::new(0.0, 1.0, 0.0), Vec3::new(0.25, 1.0, 0.25));
-        for share in [0.5, 0.2] {
-            let bounds = (low - 1e-3, high + 1e-3);
-            draw_section(&mut raster, bounds, Vec3::Y, &ink(share * whole, 3.0));
-        }
-        let light = raster.chunk(up / LANES).radiance[0][up % LANES];
-        assert!((light - 3.0).abs() < 1e-3, "{light}");
-    }
-
-    /// Pieces far smaller than the gaps between samples that tile the sky: in texels that the horizon crosses, too, their shares
-    /// are of the part above it.
-    #[test]
-    fn tiny_pieces_over_the_horizon_fill_the_sky() {
-        let table = CubeRasterTable::new(8);
-        let mut raster = CubeRaster::new(&table, true);
-        let normal = Vec3::new(0.3, 1.0, 0.45).normalize();
-        raster.clear::<Plain>(normal);
-        let count = 60_000u32;
-        for i in 0..count {
-            let z = -1.0 + 2.0 * (i as f32 + 0.5) / count as f32;
-            let (sin, cos) = (f64::from(i) * 2.399_963_229_728_653).sin_cos();
-            let r = (1.0 - z * z).sqrt();
-            let center = Vec3::new(r * cos as f32, r * sin as f32, z);
-            if center.dot(normal) > 0.0 {
-                let piece = (center - 1e-3, center + 1e-3);
-                draw_section(&mut raster, piece, center, &ink(4.0 * PI / count as f32, 1.0));
-            }
-        }
-        let (mut crossed, mut shares) = (0f32, 0f32);
-        for (texel, light) in raster.texels.iter().zip(&raster.lights) {
-            if texel.above == ALL {
-                assert!((light.radiance[0] - 1.0).abs() < 0.1, "{}", light.radiance[0]);
-            } else if texel.above != 0 {
-                let above = texel.above.count_ones() as f32;
-                crossed += above;
-                shares += light.radiance[0] * above;
-            }
-        }
-        assert!(crossed > 200.0 && (shares / crossed - 1.0).abs() < 0.1, "{shares} {crossed}");
-    }
-
-    #[test]
-    fn samples_below_the_horizon_do_not_count() {
-        let table = CubeRasterTable::new(8);
-        let mut raster = CubeRaster::new(&table, false);
-        let normal = Vec3::new(0.3, 0.8, -0.2).normalize();
-        raster.clear::<Plain>(normal);
-        assert!(!is_box_open(&raster, Vec3::new(-0.1, -3.0, -0.1), Vec3::new(0.1, -2.0, 0.1)));
-        assert!(is_box_open(&raster, Vec3::new(-0.1, 2.0, -0.1), Vec3::new(0.1, 3.0, 0.1)));
-        for (i, texel) in table.texels().iter().enumerate() {
-            let above = f32::from(texel.direction.dot(normal) > 0.2);
-            let below = f32::from(texel.direction.dot(normal) < -0.2);
-            let open = raster.openness(i);
-            assert!(open >= above && open <= 1.0 - below && (open == 0.0 || open == 1.0));
-        }
-    }
-
-    /// Draws pieces of all kinds and gives every number of the raster.
-    struct Everything;
-
-    impl WideKernel for Everything {
-        type Output = Vec<u32>;
-
-        #[inline(always)]
-        fn run<L: Lanes>(self) -> Vec<u32> {
-            let table = CubeRasterTable::new(8);
-            let mut raster = CubeRaster::new(&table, true);
-            raster.clear::<L>(Vec3::new(0.1, 0.9, 0.3).normalize());
-            for i in 0..500u32 {
-                let f = |k: u32| (i.wrapping_mul(k) >> 7) as f32 % 1009.0 / 504.0 - 1.0;
-                let d = Vec3::new(f(2_654_435_761), f(40_503_227), f(1_442_695_041)).normalize();
-                let n = Vec3::new(f(97_531), f(1_357_911), f(86_028_121)).normalize();
-                let (center, radius) = (d * (1.0 + 0.01 * i as f32), 0.3);
-                let inverse = n / n.dot(center);
-                let veil = Veil { start: 0.0, end: 0.6, seed: i };
-                let ink = Ink { veil, ..ink(0.03, i as f32) };
-                let aabb = Aabb::from_disk(center, n, radius);
-                let footprint = raster.footprint(aabb.min, aabb.max);
-                if i % 3 == 2 {
-                    let tangent = n.any_orthonormal_vector();
-                    let (edges, half) = ([tangent, n.cross(tangent)], [0.2, 0.1]);
-                    let tile = Tile { inverse, center, edges, half, distance_min: 0.5 };
-                    raster.draw::<L, _>(&[(tile, ink)], &footprint, center);
-                } else if i % 3 == 1 {
-                    let disk = Disk { inverse, center, radius, distance_min: 0.5 };
-                    raster.draw::<L, _>(&[(disk, ink)], &footprint, center);
-                } else {
-                    let section = Section { inverse, low: aabb.min, high: aabb.max };
-                    raster.draw::<L, _>(&[(section, ink)], &footprint, center);
-                }
-            }
-            let chunks = (0..48).map(|i| raster.chunk(i));
-            chunks
-                .flat_map(|c| c.covered.into_iter().chain(c.radiance.into_iter().flatten()))
-                .map(f32::to_bits)
-                .collect()
-        }
-    }
-
-    #[test]
-    fn every_level_gives_the_same_bits() {
-        let expected = run_wide(SimdLevel::Baseline, Everything);
-        for level in SimdLevel::available() {
-            assert_eq!(run_wide(level, Everything), expected, "{level:?}");
-        }
-    }
-}
+mod tests;

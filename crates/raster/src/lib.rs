@@ -10,6 +10,7 @@ mod samples;
 mod shape;
 mod simd;
 mod table;
+mod texel_light;
 mod window;
 
 pub use cube::{CubeRaster, Footprint, Ink, SHAPES_MAX, TexelChunk};
