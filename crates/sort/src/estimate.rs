@@ -25,6 +25,11 @@ const SURFACE_VARIANCE_RATIO: f64 = 0.3;
 /// and its own disk reaches at most this many times as far as theirs: birds, wires and stray echoes get the size of what is
 /// sampled near them, not that of the gap.
 const LONE_RATIO: f32 = 2.0;
+/// Neighbors that make a clump of their own, such as the few echoes of a lamp.
+const CLUMP_NEIGHBORS: usize = 3;
+/// Largest distance to the last neighbor over that to the last of the clump, which is 1.9 on an even surface: of points strewn at
+/// random one in fifty is cut short.
+const CLUMP_RATIO: f32 = 5.0;
 /// It is a line where the middle variance is at most this part of the largest.
 const LINE_VARIANCE_RATIO: f64 = 1e-4;
 
@@ -212,13 +217,17 @@ fn estimate_surfel(
     let nearest = search.nearest(index);
     if lacks_size {
         outcome.size = true;
-        let reach = if nearest.is_sampled() || is_lone(surfels, index, &nearest) {
+        let mut reach = if nearest.is_sampled() || is_lone(surfels, index, &nearest) {
             // Its neighbors' size, not that of the gap between them.
             let beside = nearest.indices().next().map_or(0.0, |i| search.nearest(i).reach());
             nearest.reach().min(LONE_RATIO * beside)
         } else {
             nearest.reach()
         };
+        if nearest.len() > CLUMP_NEIGHBORS {
+            let clump = nearest.reach_of(CLUMP_NEIGHBORS);
+            reach = reach.min(CLUMP_RATIO * clump.max(cell_edge(root)));
+        }
         (surfel.radius, surfel.area) = size_of_neighborhood(nearest.len(), reach, root);
     }
     if lacks_normal {
@@ -235,13 +244,17 @@ fn estimate_surfel(
     (surfel, outcome)
 }
 
+/// Edge of a cell of the finest level.
+fn cell_edge(root: &RootCube) -> f32 {
+    root.edge / (1u32 << MORTON_AXIS_BITS) as f32
+}
+
 /// Radius and area of a surfel whose `count` nearest neighbors lie within `reach`.
 fn size_of_neighborhood(count: usize, reach: f32, root: &RootCube) -> (f32, f32) {
-    let cell_edge = root.edge / (1u32 << MORTON_AXIS_BITS) as f32;
     let (reach, count) = match count {
         // A cloud of one surfel has no scale but that of its cube.
         0 => (root.edge, 1.0),
-        count => (reach.max(cell_edge), count as f32 + 0.5),
+        count => (reach.max(cell_edge(root)), count as f32 + 0.5),
     };
     let area = (PI * reach * reach / count).max(f32::MIN_POSITIVE);
     (2.0 * (area / PI).sqrt(), area)
@@ -344,6 +357,17 @@ mod tests {
         let (_, _, estimated) = estimate(&surfels, 64 << 20, 1);
         let largest = estimated.iter().map(|s| f64::from(s.area)).fold(0.0, f64::max);
         assert!(largest < 8.0 * each, "{largest} {each}");
+    }
+
+    #[test]
+    fn a_clump_far_from_everything_stays_small() {
+        let (mut surfels, normal, _) = plane(10_000, 0.5);
+        let place = surfels[5050].center() + normal * 4.0;
+        surfels.extend((0..8).map(|i| bare(place + Vec3::new(0.1, 0.07, 0.0) * i as f32)));
+        let (_, _, estimated) = estimate(&surfels, 64 << 20, 1);
+        // The clump is 0.9 long, the ground 4 away.
+        let largest = estimated.iter().map(|s| s.radius).fold(0.0, f32::max);
+        assert!(largest < 1.2, "{largest}");
     }
 
     #[test]

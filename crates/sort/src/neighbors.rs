@@ -40,6 +40,11 @@ impl Nearest {
         self.entries[..self.len].last().map_or(0.0, |e| e.0.sqrt())
     }
 
+    /// Distance to the `count`-th nearest one found, or to the farthest if there are fewer.
+    pub fn reach_of(&self, count: usize) -> f32 {
+        self.entries[..self.len.min(count)].last().map_or(0.0, |e| e.0.sqrt())
+    }
+
     /// Whether not all surfels around were looked at, because they are many: a sign of a surfel far from a dense clump.
     pub fn is_sampled(&self) -> bool {
         self.is_sampled
