@@ -101,6 +101,47 @@ pub struct CheckReport {
     pub cut_mean: f64,
     /// Seconds the exhaustive gathers took.
     pub seconds: f64,
+    /// Where receivers share gathers: the error if each of the sample gathers for itself.
+    pub alone: Option<AloneReport>,
+}
+
+/// Error of gathers that are not shared: what the cut alone costs.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct AloneReport {
+    /// Relative root mean square error; 0.01 is one percent.
+    pub rrmse: f64,
+    /// Mean error relative to the mean.
+    pub bias: f64,
+    /// 99th percentile of the relative error.
+    pub p99: f64,
+}
+
+impl AloneReport {
+    /// Compares the shadings of a sample, each gathered for itself, with the references.
+    ///
+    /// # Errors
+    ///
+    /// As [`CheckReport::new`].
+    pub(crate) fn new(alone: &[Shading], references: &[Shading]) -> Result<Self, MetricsError> {
+        let (ErrorMetrics { rrmse, bias, p99, .. }, _) = measure(alone.iter(), references)?;
+        Ok(Self { rrmse, bias, p99 })
+    }
+}
+
+/// Error of results, and whether it is that of irradiance: of all channels where anything shines, of ambient
+/// occlusion otherwise.
+fn measure<'a>(
+    results: impl Iterator<Item = &'a Shading>,
+    references: &[Shading],
+) -> Result<(ErrorMetrics, bool), MetricsError> {
+    let lit = references.iter().any(|s| s.irradiance().iter().any(|c| *c > 0.0));
+    let values = |shading: &Shading| match lit {
+        true => shading.irradiance().to_vec(),
+        false => vec![shading.ambient_occlusion],
+    };
+    let results: Vec<f32> = results.flat_map(values).collect();
+    let truths: Vec<f32> = references.iter().flat_map(values).collect();
+    Ok((compare(&results, &truths)?, lit))
 }
 
 impl CheckReport {
@@ -111,14 +152,8 @@ impl CheckReport {
     ///
     /// If the references are all dark, or a value is not finite.
     pub(crate) fn new(sample: &[Sampled], references: &[Shading]) -> Result<Self, MetricsError> {
-        let lit = references.iter().any(|s| s.irradiance().iter().any(|c| *c > 0.0));
-        let values = |shading: &Shading| match lit {
-            true => shading.irradiance().to_vec(),
-            false => vec![shading.ambient_occlusion],
-        };
-        let results: Vec<f32> = sample.iter().flat_map(|s| values(&s.shading)).collect();
-        let truths: Vec<f32> = references.iter().flat_map(values).collect();
-        let ErrorMetrics { rrmse, bias, p95, p99, max, .. } = compare(&results, &truths)?;
+        let (metrics, lit) = measure(sample.iter().map(|s| &s.shading), references)?;
+        let ErrorMetrics { rrmse, bias, p95, p99, max, .. } = metrics;
         let cuts: f64 = references.iter().map(|s| f64::from(s.cut_size)).sum();
         Ok(Self {
             receivers: sample.len() as u64,
@@ -130,6 +165,7 @@ impl CheckReport {
             max,
             cut_mean: cuts / references.len().max(1) as f64,
             seconds: 0.0,
+            alone: None,
         })
     }
 }
@@ -172,5 +208,7 @@ mod tests {
         let report = CheckReport::new(&[sampled(open)], &[open]).unwrap();
         assert_eq!((report.quantity, report.rrmse), ("AO", 0.0));
         assert!(CheckReport::new(&[sampled(off)], &[Shading::default()]).is_err());
+        let alone = AloneReport::new(&[off, lit], &[lit, lit]).unwrap();
+        assert!((alone.bias - 0.05).abs() < 1e-6);
     }
 }

@@ -230,6 +230,7 @@ impl<'a> FrameJob<'a> {
             position: (position.as_dvec3() + shift).as_vec3(),
             normal,
         };
+        self.session.shares = true;
         let groups = Groups::new(around, &self.view, self.request.share_pixels);
         let (leaders, places) = groups.needed(&band.pieces);
         let leaders: Vec<Receiver> = leaders.iter().map(|l| receiver(l.0, l.1)).collect();

@@ -35,7 +35,7 @@ pub use bake::bake;
 pub use bake_report::{BakeReport, BytesPerSurfel, PhaseReport};
 pub use bake_request::{BakeRequest, NormalsChoice};
 pub use camera_choice::CameraChoice;
-pub use check::CheckReport;
+pub use check::{AloneReport, CheckReport};
 pub use error::PbgiError;
 pub use frame::{Frame, shade_frame};
 pub use frame_request::{FRAME_AOVS, FrameRequest};

@@ -2,7 +2,7 @@
 //! and the report of what it did.
 
 use crate::PbgiError;
-use crate::check::{CheckReport, CheckSample};
+use crate::check::{AloneReport, CheckReport, CheckSample};
 use crate::memory_split::MemorySplit;
 use crate::progress::{Progress, format_bytes, format_count, format_seconds};
 use pbgi_cut::CutStats;
@@ -188,6 +188,8 @@ pub(crate) struct Session<'a> {
     threads: usize,
     cancel: &'a AtomicBool,
     sample: CheckSample,
+    /// Whether receivers share gathers, so that the check tells what sharing costs.
+    pub shares: bool,
     cut: CutStats,
     receivers: u64,
     seconds: f64,
@@ -231,6 +233,7 @@ impl<'a> Session<'a> {
             threads: settings.threads,
             cancel,
             sample: CheckSample::new(settings.check_receivers),
+            shares: false,
             cut: CutStats::default(),
             receivers: 0,
             seconds: 0.0,
@@ -337,12 +340,20 @@ impl<'a> Session<'a> {
             cancel: self.cancel,
             progress: &|done| phase.set_done(done),
         };
-        let (references, _) =
-            shade_receivers(&self.octree, self.light.as_ref(), &receivers, &options)?;
+        let light = self.light.as_ref();
+        let (references, _) = shade_receivers(&self.octree, light, &receivers, &options)?;
         drop(phase);
+        let seconds = start.elapsed().as_secs_f64();
+        let mut alone = None;
+        if self.shares {
+            let (threads, cancel) = (self.threads, self.cancel);
+            let options = ShadeOptions { gather: self.gather, threads, cancel, progress: &|_| () };
+            let (own, _) = shade_receivers(&self.octree, light, &receivers, &options)?;
+            alone = AloneReport::new(&own, &references).ok();
+        }
         match CheckReport::new(sample, &references) {
             Ok(mut report) => {
-                report.seconds = start.elapsed().as_secs_f64();
+                (report.seconds, report.alone) = (seconds, alone);
                 Ok(Some(report))
             }
             Err(error) => {
@@ -458,6 +469,15 @@ impl ShadeReport {
                 format_seconds(check.seconds)
             );
             rows.push(("cut error", error));
+            if let Some(alone) = &check.alone {
+                let error = format!(
+                    "{} relative rmse, {} bias, {} p99",
+                    percent(alone.rrmse),
+                    percent(alone.bias),
+                    percent(alone.p99)
+                );
+                rows.push(("without sharing", error));
+            }
         }
         rows.push(("total time", format_seconds(self.total_seconds)));
         rows

@@ -56,7 +56,7 @@ const SHARE: usize = 256;
 const BAKE_SOLID_ANGLE_SR: f32 = 1.0;
 
 /// Receivers of which the error is measured.
-const CHECK_RECEIVERS: usize = 48;
+const CHECK_RECEIVERS: usize = 64;
 
 fn main() -> ExitCode {
     let args = DemoArgs::parse();

@@ -47,14 +47,20 @@ pub fn rows(baked: &BakeReport, shaded: &ShadeReport) -> Vec<(&'static str, Stri
         ("peak memory", format!("{peak} of {limit}")),
     ];
     if let Some(check) = &shaded.check {
-        let [rmse, bias, p99] = [check.rrmse, check.bias, check.p99].map(|x| x * 100.0);
-        rows.push((
-            "cut error",
-            format!(
-                "{rmse:.2} % relative rmse, {bias:+.2} % bias, {p99:.1} % p99 ({} receivers)",
-                check.receivers
-            ),
-        ));
+        let error = |rrmse: f64, bias: f64, p99: f64| {
+            let [rrmse, bias, p99] = [rrmse, bias, p99].map(|x| x * 100.0);
+            format!("{rrmse:.2} % relative rmse, {bias:+.2} % bias, {p99:.1} % p99")
+        };
+        let receivers = check.receivers;
+        let all = error(check.rrmse, check.bias, check.p99);
+        match &check.alone {
+            Some(alone) => {
+                let cut = error(alone.rrmse, alone.bias, alone.p99);
+                rows.push(("cut error", format!("{cut} ({receivers} receivers)")));
+                rows.push(("with sharing", all));
+            }
+            None => rows.push(("cut error", format!("{all} ({receivers} receivers)"))),
+        }
     }
     rows
 }
