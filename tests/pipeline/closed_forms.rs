@@ -51,7 +51,7 @@ fn a_uniform_closed_room_gives_pi_times_its_radiance() {
 fn a_closed_room_of_disks_leaks_little() {
     for solid_angle_sr in [0.3, 0.1, 0.03, 0.0] {
         let (rms, worst) = closed_room_errors(SurfelForm::Disks, solid_angle_sr);
-        assert!(rms < 0.02 && worst < 0.05, "{solid_angle_sr}: {rms}, {worst}");
+        assert!(rms < 0.02 && worst < 0.06, "{solid_angle_sr}: {rms}, {worst}");
     }
 }
 
