@@ -6,6 +6,7 @@
 
 mod aggregate;
 mod error;
+mod leaves;
 mod open_path;
 mod pack;
 mod writer;
@@ -22,7 +23,7 @@ use std::sync::atomic::AtomicBool;
 pub type StreamError = Box<dyn std::error::Error + Send + Sync>;
 
 /// Surfels in the order of their Morton codes, ties in input order.
-pub trait SortedStream {
+pub trait SortedStream: Send {
     /// Appends the next surfels with their codes to `out`; `false` when there are no more.
     ///
     /// # Errors
@@ -78,6 +79,8 @@ pub struct BuildOptions<'a> {
     pub channels: ChannelChoice,
     /// Store albedo where any is given.
     pub albedo: bool,
+    /// Threads: with two or more, one cuts leaves while another builds on them.
+    pub threads: usize,
     /// Set from outside to stop.
     pub cancel: &'a AtomicBool,
     /// Told the number of surfels done, now and then.
@@ -97,6 +100,7 @@ impl Default for BuildOptions<'_> {
             compress: false,
             channels: ChannelChoice::AsNeeded,
             albedo: true,
+            threads: 1,
             cancel: &NEVER,
             progress: &|_| {},
         }

@@ -1,20 +1,18 @@
 //! The octree grown along its open path from a stream in Morton order.
 //!
-//! A cell is a leaf as soon as no more than `leaf_surfels_max` surfels remain in it; since the stream is in Morton order,
-//! looking `leaf_surfels_max + 1` surfels ahead decides (Kontkanen et al. 2011). A cell with a single
-//! occupied octant hands that octant up instead of becoming a node. Surfels that share a Morton code
+//! Leaves come from [`crate::leaves`]; looking `leaf_surfels_max` surfels ahead decides where they end (Kontkanen et al. 2011). A
+//! cell with a single occupied octant hands that octant up instead of becoming a node. Surfels that share a Morton code
 //! beyond the leaf size become a balanced tree over the list of them.
 
 use crate::aggregate::NodeAggregate;
 use crate::error::BuildError;
+use crate::leaves::{Leaf, Leaves, Totals, with_leaves};
 use crate::pack::{Group, PendingContent, PendingNode};
 use crate::writer::FileWriter;
 use crate::{BuildOptions, BuildReport, ChannelChoice, SortedStream, StreamSummary};
-use pbgi_cloud::Surfel;
 use pbgi_format::{CHILDREN_MAX, Channels, Header, HeaderFlags, MiniFloat, PageId, SurfelLayout};
-use pbgi_math::{Aabb, MORTON_AXIS_BITS, MortonCode, SharedExponent, Vec3};
+use pbgi_math::{Aabb, MORTON_AXIS_BITS, SharedExponent, Vec3};
 use std::path::Path;
-use std::sync::atomic::Ordering;
 
 /// Builds the octree file `target` from a sorted stream, in one pass. The result depends on the
 /// surfels and on `page_bytes`, `leaf_surfels_max`, `compress` and `channels` only.
@@ -42,18 +40,15 @@ pub fn build_octree(
     }
     let layout = choose_layout(summary, options);
     let mut builder = Builder {
-        window: Window::new(stream, options),
         writer: FileWriter::create(target, options.compress)?,
         root: summary.root,
         layout,
         options,
         counts: Counts::default(),
     };
-    let node = builder.build_cell(0, 0)?.ok_or(BuildError::Empty)?;
-    if let Some(index) = builder.window.leftover() {
-        return Err(BuildError::Unsorted { index });
-    }
-    builder.finish(node, summary)
+    let build = |leaves: &mut Leaves<'_>| builder.build_cell(leaves, 0, 0);
+    let (node, totals) = with_leaves(stream, options, build)?;
+    builder.finish(node.ok_or(BuildError::Empty)?, summary, &totals)
 }
 
 /// Codecs that hold every surfel, and sums of all of them, whatever their order.
@@ -81,17 +76,13 @@ fn choose_layout(summary: &StreamSummary, options: &BuildOptions<'_>) -> SurfelL
 
 #[derive(Default)]
 struct Counts {
-    surfels: u64,
     nodes: u64,
     leaves: u64,
     hot_bytes: u64,
     lobe_bytes: u64,
-    area_total: f64,
-    flux_total: [f64; 3],
 }
 
 struct Builder<'a> {
-    window: Window<'a>,
     writer: FileWriter,
     root: pbgi_math::RootCube,
     layout: SurfelLayout,
@@ -101,29 +92,30 @@ struct Builder<'a> {
 
 impl Builder<'_> {
     /// The node of the cell with leading octants `cell` at `level`, or none if the stream has left it.
-    fn build_cell(&mut self, level: u32, cell: u64) -> Result<Option<PendingNode>, BuildError> {
-        let leaf_max = self.options.leaf_surfels_max;
-        self.window.fill(leaf_max + 1)?;
-        let ahead = self.window.ahead();
-        let inside = |s: &(MortonCode, Surfel)| s.0.cell_at(level) == cell;
-        if !ahead.first().is_some_and(inside) {
-            return Ok(None);
-        }
-        if !ahead.get(leaf_max).is_some_and(inside) {
-            let count = ahead[..ahead.len().min(leaf_max)].iter().take_while(|s| inside(s)).count();
-            return Ok(Some(self.take_leaf(count)?));
+    fn build_cell(
+        &mut self,
+        leaves: &mut Leaves<'_>,
+        level: u32,
+        cell: u64,
+    ) -> Result<Option<PendingNode>, BuildError> {
+        match leaves.peek()? {
+            Some(leaf) if leaf.code.cell_at(level) == cell => {
+                if leaf.level == level {
+                    return take_leaf(leaves);
+                }
+            }
+            _ => return Ok(None),
         }
         if level == MORTON_AXIS_BITS {
-            return self.build_list(cell).map(Some);
+            return self.build_list(leaves, cell).map(Some);
         }
         let mut children: Vec<(u32, PendingNode)> = Vec::with_capacity(CHILDREN_MAX);
-        loop {
-            self.window.fill(1)?;
-            let Some(&(code, _)) = self.window.ahead().first() else { break };
+        while let Some(leaf) = leaves.peek()? {
+            let code = leaf.code;
             if code.cell_at(level) != cell {
                 break;
             }
-            let child = self.build_cell(level + 1, code.cell_at(level + 1))?;
+            let child = self.build_cell(leaves, level + 1, code.cell_at(level + 1))?;
             children.push((code.octant(level), child.expect("the cell holds the next surfel")));
         }
         if children.len() == 1 {
@@ -133,37 +125,20 @@ impl Builder<'_> {
         self.close_group(split, children).map(Some)
     }
 
-    fn take_leaf(&mut self, count: usize) -> Result<PendingNode, BuildError> {
-        let surfels: Vec<Surfel> = self.window.ahead()[..count].iter().map(|s| s.1).collect();
-        for surfel in &surfels {
-            let area = f64::from(surfel.area);
-            self.counts.area_total += area;
-            for (sum, l) in self.counts.flux_total.iter_mut().zip(surfel.radiance) {
-                *sum += area * f64::from(l);
-            }
-        }
-        self.counts.surfels += count as u64;
-        self.window.advance(count, self.counts.surfels)?;
-        Ok(PendingNode {
-            aggregate: NodeAggregate::from_surfels(&surfels),
-            content: PendingContent::Leaf(surfels),
-        })
-    }
-
     /// A balanced tree over all surfels of one Morton code: full leaves, joined eight by eight.
-    fn build_list(&mut self, code: u64) -> Result<PendingNode, BuildError> {
+    fn build_list(
+        &mut self,
+        leaves: &mut Leaves<'_>,
+        code: u64,
+    ) -> Result<PendingNode, BuildError> {
         let split = self.root.cell_box(code, MORTON_AXIS_BITS).center();
         // levels[k] holds up to eight finished subtrees of height k.
         let mut levels: Vec<Vec<PendingNode>> = Vec::new();
         loop {
-            self.window.fill(self.options.leaf_surfels_max)?;
-            let ahead = self.window.ahead();
-            let ahead = &ahead[..ahead.len().min(self.options.leaf_surfels_max)];
-            let count = ahead.iter().take_while(|s| s.0.0 == code).count();
-            if count == 0 {
+            if !leaves.peek()?.is_some_and(|leaf| leaf.code.0 == code) {
                 break;
             }
-            let mut node = self.take_leaf(count)?;
+            let Some(mut node) = take_leaf(leaves)? else { break };
             for height in 0.. {
                 if levels.len() == height {
                     levels.push(Vec::new());
@@ -231,6 +206,7 @@ impl Builder<'_> {
         mut self,
         node: PendingNode,
         summary: &StreamSummary,
+        totals: &Totals,
     ) -> Result<BuildReport, BuildError> {
         let bounds = node.aggregate.bounds;
         let root = match node.content {
@@ -243,7 +219,7 @@ impl Builder<'_> {
         };
         let link = self.writer.write_treelets(&[&root], &self.layout)?[0];
         let counts = &self.counts;
-        let spacing = (counts.area_total / counts.surfels as f64).sqrt() as f32;
+        let spacing = (totals.area / totals.surfels as f64).sqrt() as f32;
         let header = Header {
             channels: self.layout.channels,
             flags: HeaderFlags {
@@ -252,7 +228,7 @@ impl Builder<'_> {
                 isotropic: summary.any_isotropic,
                 z_up: summary.z_up,
             },
-            surfel_count: counts.surfels,
+            surfel_count: totals.surfels,
             node_count: counts.nodes,
             leaf_count: counts.leaves,
             page_count: 0,
@@ -270,14 +246,14 @@ impl Builder<'_> {
             area_codec: self.layout.area,
             radiance_scale: self.layout.radiance_scale,
             spacing,
-            area_total: counts.area_total,
-            flux_total: counts.flux_total,
+            area_total: totals.area,
+            flux_total: totals.flux,
         };
         let surfel_bytes = self.writer.surfel_bytes();
         let (file_bytes, pages) = self.writer.finish(header)?;
         let known = surfel_bytes + counts.hot_bytes + counts.lobe_bytes;
         Ok(BuildReport {
-            surfels: counts.surfels,
+            surfels: totals.surfels,
             nodes: counts.nodes,
             leaves: counts.leaves,
             pages,
@@ -290,55 +266,11 @@ impl Builder<'_> {
     }
 }
 
-/// The part of the stream that has been read but not yet built.
-struct Window<'a> {
-    stream: &'a mut dyn SortedStream,
-    options: &'a BuildOptions<'a>,
-    buffer: Vec<(MortonCode, Surfel)>,
-    start: usize,
-    ended: bool,
-    last: MortonCode,
-    taken: u64,
-}
-
-impl<'a> Window<'a> {
-    fn new(stream: &'a mut dyn SortedStream, options: &'a BuildOptions<'a>) -> Self {
-        let buffer = Vec::new();
-        Self { stream, options, buffer, start: 0, ended: false, last: MortonCode(0), taken: 0 }
-    }
-
-    /// Makes at least `count` surfels available, unless the stream ends before.
-    fn fill(&mut self, count: usize) -> Result<(), BuildError> {
-        while !self.ended && self.buffer.len() - self.start < count {
-            self.buffer.drain(..self.start);
-            self.start = 0;
-            self.ended = !self.stream.read_chunk(&mut self.buffer).map_err(BuildError::Stream)?;
-        }
-        Ok(())
-    }
-
-    fn ahead(&self) -> &[(MortonCode, Surfel)] {
-        &self.buffer[self.start..]
-    }
-
-    fn advance(&mut self, count: usize, done: u64) -> Result<(), BuildError> {
-        for &(code, _) in &self.buffer[self.start..self.start + count] {
-            if code < self.last {
-                return Err(BuildError::Unsorted { index: self.taken });
-            }
-            self.last = code;
-            self.taken += 1;
-        }
-        self.start += count;
-        if self.options.cancel.load(Ordering::Relaxed) {
-            return Err(BuildError::Cancelled);
-        }
-        (self.options.progress)(done);
-        Ok(())
-    }
-
-    /// Index of the next surfel if there is one left.
-    fn leftover(&self) -> Option<u64> {
-        (self.start < self.buffer.len()).then_some(self.taken)
-    }
+/// The next leaf as a node.
+fn take_leaf(leaves: &mut Leaves<'_>) -> Result<Option<PendingNode>, BuildError> {
+    let node = |leaf: Leaf| PendingNode {
+        aggregate: leaf.aggregate,
+        content: PendingContent::Leaf(leaf.surfels),
+    };
+    Ok(leaves.take()?.map(node))
 }

@@ -293,13 +293,19 @@ impl<'a> Baker<'a> {
             leaf_surfels_max: self.request.leaf_surfels_max,
             compress: self.request.compress,
             albedo: !self.request.occlusion_only,
+            threads: self.memory.threads,
             cancel: self.cancel,
             ..BuildOptions::default()
         }
     }
 
     fn temporary_options(&self) -> BuildOptions<'a> {
-        BuildOptions { albedo: false, cancel: self.cancel, ..BuildOptions::default() }
+        BuildOptions {
+            albedo: false,
+            threads: self.memory.threads,
+            cancel: self.cancel,
+            ..BuildOptions::default()
+        }
     }
 
     fn stream_summary(&self, summary: &SurfelSummary, radiance_max: f32) -> StreamSummary {
