@@ -1,9 +1,9 @@
 //! The octree file: what is in it, that it is the same for every way of making it, and that damage is named.
 
 use crate::support::{bake, bake_and_open, stream};
-use pbgi_build::{BuildOptions, build_octree};
+use pbgi_build::{BuildOptions, SortedStream, StreamError, build_octree};
 use pbgi_cloud::Surfel;
-use pbgi_math::Vec3;
+use pbgi_math::{MortonCode, Vec3};
 use pbgi_store::{Backend, Octree, OpenOptions, StoreError};
 use pbgi_testkit::{SurfelForm, closed_room, random_objects};
 
@@ -26,17 +26,62 @@ fn every_surfel_is_in_the_file_exactly_once() {
 }
 
 #[test]
-fn chunking_of_the_stream_never_changes_a_byte() {
-    let surfels = random_objects(10_000, 0.02, 5);
+fn neither_chunks_nor_threads_change_a_byte() {
+    let mut surfels = random_objects(10_000, 0.02, 5);
+    // More at one place than a leaf holds.
+    surfels.extend([Surfel::new(Vec3::splat(0.3), Vec3::Y, 0.01, 1e-4); 100]);
     let folder = tempfile::tempdir().unwrap();
     let mut files = Vec::new();
-    for chunk in [1, 333, 100_000] {
-        let path = folder.path().join(format!("{chunk}.pbgi"));
+    for (chunk, threads) in [(1, 1), (333, 1), (100_000, 1), (1, 2), (100_000, 2)] {
+        let path = folder.path().join(format!("{chunk}-{threads}.pbgi"));
         let (mut stream, summary) = stream(&surfels, chunk);
-        build_octree(&mut stream, &summary, &BuildOptions::default(), &path).unwrap();
+        let options = BuildOptions { threads, ..BuildOptions::default() };
+        build_octree(&mut stream, &summary, &options, &path).unwrap();
         files.push(std::fs::read(path).unwrap());
     }
-    assert!(files[0] == files[1] && files[1] == files[2]);
+    assert!(files.iter().all(|file| *file == files[0]));
+}
+
+/// Gives surfels in the order of their codes, but for two; or fails after some.
+struct Broken {
+    surfels: Vec<(MortonCode, Surfel)>,
+    fails: bool,
+}
+
+impl SortedStream for Broken {
+    fn read_chunk(&mut self, out: &mut Vec<(MortonCode, Surfel)>) -> Result<bool, StreamError> {
+        if self.surfels.is_empty() && self.fails {
+            return Err("the disk is gone".into());
+        }
+        out.append(&mut self.surfels);
+        Ok(false)
+    }
+}
+
+#[test]
+fn streams_that_fail_or_are_not_in_order_leave_nothing() {
+    let all = random_objects(2000, 0.02, 5);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("broken.pbgi");
+    for threads in [1, 2] {
+        for (fails, expected) in [(false, "surfel 1500 is out of Morton order"), (true, "is gone")]
+        {
+            let (mut whole, summary) = stream(&all, usize::MAX);
+            let mut surfels = Vec::new();
+            whole.read_chunk(&mut surfels).unwrap();
+            if fails {
+                surfels.clear();
+            } else {
+                surfels.swap(1500, 0);
+                surfels[0] = surfels[1];
+            }
+            let options = BuildOptions { threads, ..BuildOptions::default() };
+            let error = build_octree(&mut Broken { surfels, fails }, &summary, &options, &path);
+            let message = error.unwrap_err().to_string();
+            assert!(message.contains(expected), "{threads}: {message}");
+            assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+        }
+    }
 }
 
 #[test]
