@@ -135,7 +135,7 @@ impl Builder<'_> {
         // levels[k] holds up to eight finished subtrees of height k.
         let mut levels: Vec<Vec<PendingNode>> = Vec::new();
         loop {
-            if !leaves.peek()?.is_some_and(|leaf| leaf.code.0 == code) {
+            if leaves.peek()?.is_none_or(|leaf| leaf.code.0 != code) {
                 break;
             }
             let Some(mut node) = take_leaf(leaves)? else { break };
