@@ -192,11 +192,8 @@ impl NodeAggregate {
         let mut bounds = Aabb::EMPTY;
         let mut cover_margin = 0f32;
         for surfel in surfels {
-            bounds = bounds.union(area_true_box(surfel));
-            let inner = match surfel.half_edges() {
-                Some([_, short]) => short.length(),
-                None => area_true_half_edge(surfel),
-            };
+            let (own, inner) = area_true_box(surfel);
+            bounds = bounds.union(own);
             cover_margin = cover_margin.max(surfel.radius - inner);
         }
         let mut lobes = surfels.iter().map(LobeSum::from_surfel).collect();
@@ -239,15 +236,17 @@ fn area_true_half_edge(surfel: &Surfel) -> f32 {
     0.5 * shown.sqrt()
 }
 
-fn area_true_box(surfel: &Surfel) -> Aabb {
+/// Box of a surfel's rectangle, or where that is not known, of its area-true square; and how far from the center the nearest
+/// edge is.
+fn area_true_box(surfel: &Surfel) -> (Aabb, f32) {
     let (center, half_edge) = (surfel.center(), area_true_half_edge(surfel));
     if surfel.is_isotropic() {
-        Aabb { min: center, max: center }.inflated(half_edge)
+        (Aabb { min: center, max: center }.inflated(half_edge), half_edge)
     } else if let Some([long, short]) = surfel.half_edges() {
         let reach = long.abs() + short.abs();
-        Aabb { min: center - reach, max: center + reach }
+        (Aabb { min: center - reach, max: center + reach }, short.length())
     } else {
-        Aabb::from_disk(center, surfel.normal(), half_edge)
+        (Aabb::from_disk(center, surfel.normal(), half_edge), half_edge)
     }
 }
 

@@ -71,7 +71,7 @@ impl LeafCutter<'_> {
         }
         let ahead = &self.buffer[self.start..];
         let Some(&(code, _)) = ahead.first() else { return Ok(None) };
-        let below = |other: Option<MortonCode>| other.map_or(0, |o| common_level(code, o) + 1);
+        let below = |other: Option<MortonCode>| other.map_or(0, |o| code.common_level(o) + 1);
         let level = below(self.last).max(below(ahead.get(most).map(|s| s.0)));
         let cell_level = level.min(MORTON_AXIS_BITS);
         let cell = code.cell_at(cell_level);
@@ -106,12 +106,6 @@ impl LeafCutter<'_> {
             }
         }
     }
-}
-
-/// Deepest level at which both lie in one cell.
-fn common_level(a: MortonCode, b: MortonCode) -> u32 {
-    let unused = u64::BITS - 3 * MORTON_AXIS_BITS;
-    (((a.0 ^ b.0).leading_zeros() - unused) / 3).min(MORTON_AXIS_BITS)
 }
 
 /// Where batches come from.
@@ -178,22 +172,4 @@ pub(crate) fn with_leaves<R>(
         let totals = worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
         Ok((result?, totals))
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn common_levels_are_those_of_cells() {
-        let code = MortonCode(0o123_456_701_234_567_012_345);
-        for level in 0..MORTON_AXIS_BITS {
-            // Another octant at the next level.
-            let other = MortonCode(code.0 ^ 1 << (3 * (MORTON_AXIS_BITS - level - 1)));
-            assert_eq!(common_level(code, other), level);
-            assert_eq!(code.cell_at(level), other.cell_at(level));
-            assert_ne!(code.cell_at(level + 1), other.cell_at(level + 1));
-        }
-        assert_eq!(common_level(code, code), MORTON_AXIS_BITS);
-    }
 }

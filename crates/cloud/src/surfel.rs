@@ -128,8 +128,8 @@ impl Surfel {
     #[must_use]
     pub fn half_edges(&self) -> Option<[Vec3; 2]> {
         let tile = self.tile();
-        let [long, short] = rectangle_half_edges(self.radius, self.area);
         tile.is_known().then(|| {
+            let [long, short] = rectangle_half_edges(self.radius, self.area);
             let [tangent, bitangent] = tile.edges(self.normal());
             [tangent * long, bitangent * short]
         })

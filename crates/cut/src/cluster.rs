@@ -174,12 +174,11 @@ fn see_lobe(lobe: &Lobe, center: Vec3, half: Vec3, toward_receiver: Vec3) -> Opt
         point = center + normal * (lobe.height * normal.abs().dot(half));
     }
     let (distance2, height) = (point.length_squared(), normal.dot(point));
-    let (front, back) = if is_flat {
-        // Which side is seen follows from its own plane: that may lie far from the box's middle.
-        seen_areas(-length * height / length_of(distance2), lobe.width)
-    } else {
-        seen_areas(lobe.vector.dot(toward_receiver), lobe.width)
-    };
+    let distance = distance2.sqrt();
+    // Which side is seen follows from the lobe's own plane: that may lie far from the box's middle.
+    let along = lobe.vector.dot(point) * (-1.0 / distance);
+    let root = (along * along + lobe.width * lobe.width).sqrt();
+    let (front, back) = (0.5 * (along + root), 0.5 * (root - along));
     let back = if lobe.blocks_back { back } else { 0.0 };
     let is_front = if is_flat { height < 0.0 } else { front > 0.0 };
     let area = if is_flat && !is_front { back } else { front.max(back) };
@@ -192,33 +191,18 @@ fn see_lobe(lobe: &Lobe, center: Vec3, half: Vec3, toward_receiver: Vec3) -> Opt
         (area / central_section_area(half, toward_receiver)).min(1.0)
     };
     // Seen along its edge it covers nothing; the plane must not contain the receiver.
-    let height = if height.abs() < 1e-6 * length_of(distance2) {
-        1e-6 * length_of(distance2)
-    } else {
-        height
-    };
+    let least = 1e-6 * distance;
+    let height = if height.abs() < least { least } else { height };
     let piece = Piece {
         inverse: normal * (1.0 / height),
         start: 0.0,
         end: 0.0,
         solid_angle: if is_front { front } else { back } / distance2,
-        cosine: height.abs() * (1.0 / length_of(distance2)),
+        cosine: height.abs() * (1.0 / distance),
         radiance: if is_front { lobe.radiance } else { [0.0; 3] },
     };
     let is_sheet = !lobe.blocks_back;
     Some(Shown { piece, distance2, opacity, area, is_sheet, is_flat, is_front })
-}
-
-/// Front and back area that a lobe of width `h` shows where its vector area along the line of sight is `along`.
-#[inline(always)]
-fn seen_areas(along: f32, width: f32) -> (f32, f32) {
-    let root = (along * along + width * width).sqrt();
-    (0.5 * (along + root), 0.5 * (root - along))
-}
-
-#[inline(always)]
-fn length_of(length2: f32) -> f32 {
-    length2.sqrt()
 }
 
 /// Reduces what sheets show that are not one flat piece to `1 − e^−τ`.

@@ -21,20 +21,13 @@ pub struct NodeSeen {
     pub is_plane: bool,
 }
 
-/// The same largest solid angle in every direction.
+/// The same largest half-angle in every direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UniformThreshold {
     sin2_max: f32,
 }
 
 impl UniformThreshold {
-    /// Nodes whose bounding sphere subtends at most `solid_angle_sr` are taken as one; 0 goes down
-    /// to the surfels.
-    #[must_use]
-    pub fn new(solid_angle_sr: f32) -> Self {
-        Self::from_sine(sphere_sin2_for_solid_angle(solid_angle_sr).sqrt())
-    }
-
     /// Nodes whose bounding sphere has a half-angle with at most this sine.
     #[must_use]
     pub fn from_sine(sine: f32) -> Self {
@@ -100,7 +93,8 @@ mod tests {
             is_plane,
         };
         let above = threshold.sin2_max(&node(Vec3::Y * 4.0, false));
-        let uniform = UniformThreshold::new(0.1).sin2_max(&node(Vec3::Y, false));
+        let uniform = UniformThreshold::from_sine(sphere_sin2_for_solid_angle(0.1).sqrt())
+            .sin2_max(&node(Vec3::Y, false));
         assert!((above / uniform - 1.0).abs() < 1e-3, "{above} {uniform}");
         for (x, expected) in [(1.0, 2f32.sqrt()), (1e3, 1.0 / COSINE_MIN)] {
             let tilted = threshold.sin2_max(&node(Vec3::new(x, 1.0, 0.0), false));

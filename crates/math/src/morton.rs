@@ -39,6 +39,16 @@ impl MortonCode {
     pub fn cell_at(self, level: u32) -> u64 {
         if level == 0 { 0 } else { self.0 >> (3 * (MORTON_AXIS_BITS - level)) }
     }
+
+    /// Deepest level at which both codes lie in one cell.
+    #[must_use]
+    #[inline]
+    pub fn common_level(self, other: Self) -> u32 {
+        match self.0 ^ other.0 {
+            0 => MORTON_AXIS_BITS,
+            difference => MORTON_AXIS_BITS - 1 - difference.ilog2() / 3,
+        }
+    }
 }
 
 /// Puts two zero bits before each of the low 21 bits.
@@ -119,6 +129,20 @@ impl RootCube {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn common_levels_are_those_of_cells() {
+        for a in [MortonCode(0x1234_5678_9abc_def0), MortonCode(0o123_456_701_234_567_012_345)] {
+            for level in 0..MORTON_AXIS_BITS {
+                // Another octant at `level`, the same above.
+                let b = MortonCode(a.0 ^ (1 << (3 * (MORTON_AXIS_BITS - 1 - level))));
+                assert_eq!(a.common_level(b), level);
+                assert_eq!(a.cell_at(level), b.cell_at(level));
+                assert_ne!(a.cell_at(level + 1), b.cell_at(level + 1));
+            }
+            assert_eq!(a.common_level(a), MORTON_AXIS_BITS);
+        }
+    }
 
     #[test]
     fn codes_round_trip() {

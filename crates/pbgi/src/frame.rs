@@ -15,6 +15,7 @@ use pbgi_image::{AttributeValue, Image, ToneMap, auto_exposure, write_exr, write
 use pbgi_math::{DVec3, Vec3};
 use pbgi_scene::{CameraView, HideOptions, Micropolygon, PixelWindow, Scene, hide};
 use pbgi_schedule::{GatherParts, Receiver, Shading};
+use std::borrow::Cow;
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -84,9 +85,9 @@ pub fn shade_frame(
     cancel: &AtomicBool,
 ) -> Result<Frame, PbgiError> {
     request.settings.validate()?;
-    if request.share_pixels > 64 {
+    if request.share_pixels > SHARE_PIXELS_MAX {
         return Err(PbgiError::usage(format!(
-            "the blocks of shared gathers have {} pixels, expected 0 to 64",
+            "the blocks of shared gathers have {} pixels, expected 0 to {SHARE_PIXELS_MAX}",
             request.share_pixels
         )));
     }
@@ -114,7 +115,10 @@ struct FrameJob<'a> {
 }
 
 /// Rows around a band in which groups of pieces may reach into it: two of the largest blocks, and whole tiles.
-const AROUND_ROWS: u32 = 2 * 64;
+const AROUND_ROWS: u32 = 2 * SHARE_PIXELS_MAX;
+
+/// Largest edge of the blocks in which gathers are shared.
+const SHARE_PIXELS_MAX: u32 = 64;
 
 /// Rows of a tile of hiding: bands of whole tiles shade nothing twice.
 const TILE_ROWS: u32 = 64;
@@ -174,7 +178,7 @@ impl<'a> FrameJob<'a> {
             let window = PixelWindow { x: 0, y, width: self.request.width, height };
             let phase = progress.start_phase("hide", "rows", Some(u64::from(height)));
             let visible = self.hide(window)?;
-            let around = self.hide_around(window)?;
+            let around = self.hide_around(window, &visible)?;
             phase.set_done(u64::from(height));
             drop(phase);
             seen.count(&visible);
@@ -208,14 +212,27 @@ impl<'a> FrameJob<'a> {
     }
 
     /// What is visible in the window and in the rows around it, where pieces share gathers: groups at a band's
-    /// border need all their members.
-    fn hide_around(&self, window: PixelWindow) -> Result<Option<Vec<Piece>>, PbgiError> {
+    /// border need all their members. `visible` is what the window itself shows.
+    fn hide_around<'v>(
+        &self,
+        window: PixelWindow,
+        visible: &'v Band,
+    ) -> Result<Option<Cow<'v, [Piece]>>, PbgiError> {
         if self.request.scene.is_none() || self.request.share_pixels == 0 {
             return Ok(None);
         }
         let y = window.y.saturating_sub(AROUND_ROWS);
         let end = (window.y + window.height + AROUND_ROWS).min(self.request.height);
-        Ok(Some(self.hide(PixelWindow { y, height: end - y, ..window })?.pieces))
+        if end - y == window.height {
+            return Ok(Some(Cow::Borrowed(&visible.pieces)));
+        }
+        Ok(Some(Cow::Owned(self.hide(PixelWindow { y, height: end - y, ..window })?.pieces)))
+    }
+
+    /// The receiver at a place of the frame, in the octree's coordinates.
+    fn receiver(&self, position: Vec3, normal: Vec3) -> Receiver {
+        let shift = self.origin - self.header.origin;
+        Receiver { position: (position.as_dvec3() + shift).as_vec3(), normal }
     }
 
     /// Shades the pieces of a band, which share gathers with those visible around them.
@@ -225,22 +242,17 @@ impl<'a> FrameJob<'a> {
         around: &[Piece],
         phase: &Phase<'_>,
     ) -> Result<Vec<Shading>, PbgiError> {
-        let shift = self.origin - self.header.origin;
-        let receiver = |position: Vec3, normal: Vec3| Receiver {
-            position: (position.as_dvec3() + shift).as_vec3(),
-            normal,
-        };
         self.session.shares = true;
         let groups = Groups::new(around, &self.view, self.request.share_pixels);
         let (leaders, places) = groups.needed(&band.pieces);
-        let leaders: Vec<Receiver> = leaders.iter().map(|l| receiver(l.0, l.1)).collect();
+        let leaders: Vec<Receiver> = leaders.iter().map(|l| self.receiver(l.0, l.1)).collect();
         // Progress counts pieces: most of the work is in the leaders.
         let total = band.pieces.len() as u64;
         let broad_share = |done: u64| done * total * 3 / (4 * leaders.len().max(1) as u64);
         let advance = |done: u64| phase.set_done(broad_share(done));
         let broad = self.session.gather(&leaders, GatherParts::Broad, &advance)?;
         let receivers: Vec<Receiver> =
-            band.pieces.iter().map(|p| receiver(p.position, p.normal)).collect();
+            band.pieces.iter().map(|p| self.receiver(p.position, p.normal)).collect();
         let advance = |done: u64| phase.set_done(total * 3 / 4 + done / 4);
         let mut shadings = self.session.gather(&receivers, GatherParts::Peaks, &advance)?;
         let means: Vec<Option<Shading>> =
@@ -269,11 +281,7 @@ impl<'a> FrameJob<'a> {
         band: &Band,
         advance: &(dyn Fn(u64) + Sync),
     ) -> Result<Vec<Shading>, PbgiError> {
-        let shift = self.origin - self.header.origin;
-        let receiver = |piece: &Piece| Receiver {
-            position: (piece.position.as_dvec3() + shift).as_vec3(),
-            normal: piece.normal,
-        };
+        let receiver = |piece: &Piece| self.receiver(piece.position, piece.normal);
         if band.ids.is_empty() {
             let receivers: Vec<Receiver> = band.pieces.iter().map(receiver).collect();
             return self.session.shade(&receivers, None, advance);

@@ -7,7 +7,7 @@ const MAIN_SHARE: f32 = 0.02;
 const EVEN: f32 = 2.0;
 
 /// Light of a texel.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 #[repr(C, align(32))]
 pub(crate) struct TexelLight {
     /// Σ of radiance × share of the texel.
@@ -29,11 +29,11 @@ impl TexelLight {
     pub fn made_whole(&self) -> [f32; 3] {
         let inverse = 1.0 / crate::larger(self.weight, 1e-6);
         let mean = self.radiance.map(|sum| sum * inverse);
-        if self.brightness < 0.0 && self.weight > 1.0 {
-            // Nothing large enough to take the excess from.
-            return self.radiance;
+        if self.brightness < 0.0 {
+            // No piece is large enough to take an excess from.
+            return if self.weight > 1.0 { self.radiance } else { mean };
         }
-        if self.brightness < 0.0 || mean[0] + mean[1] + mean[2] <= EVEN * self.brightness {
+        if mean[0] + mean[1] + mean[2] <= EVEN * self.brightness {
             return mean;
         }
         let missing = 1.0 - self.weight;

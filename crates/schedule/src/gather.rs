@@ -265,12 +265,17 @@ fn neighbor_tolerance(spread: f32, cosine: f32) -> f32 {
     spread * if cosine > NEIGHBOR_DEPTH { NEIGHBOR_DEPTH / cosine } else { 1.0 }
 }
 
+/// Area that a surfel shows along its normal; an isotropic one half of its own in every direction.
+#[inline(always)]
+fn shown_area(surfel: &LeafSurfel) -> f32 {
+    if surfel.isotropic { 0.5 * surfel.area } else { surfel.area }
+}
+
 /// The disk a surfel is drawn as, and its opacity. An isotropic one turns to the receiver.
 #[inline(always)]
 fn surfel_disk(seen: &SurfelSeen, receiver_normal: Vec3) -> (Disk, Vec3, f32) {
     let surfel = &seen.surfel;
-    let shown = if surfel.isotropic { 0.5 * surfel.area } else { surfel.area };
-    let area_true = (shown * FRAC_1_PI).sqrt();
+    let area_true = (shown_area(surfel) * FRAC_1_PI).sqrt();
     let is_sheet = surfel.front_only || surfel.isotropic;
     let reserve = if is_sheet { SHEET_RESERVE } else { SOLID_RESERVE };
     let (mut radius, mut opacity) = (surfel.radius.min(reserve * area_true), 1.0);
@@ -314,11 +319,10 @@ fn blocks(seen: &SurfelSeen) -> bool {
 fn surfel_ink(seen: &SurfelSeen, normal: Vec3, opacity: f32, extent: f32) -> Ink {
     let surfel = &seen.surfel;
     let distance = seen.distance2.sqrt();
-    let shown = if surfel.isotropic { 0.5 * surfel.area } else { surfel.area };
     let cosine = normal.dot(surfel.center) * (-1.0 / distance);
     Ink {
         veil: Veil { start: 0.0, end: opacity, seed: seen.seed },
-        solid_angle: shown * cosine.abs() / seen.distance2,
+        solid_angle: shown_area(surfel) * cosine.abs() / seen.distance2,
         radiance: if cosine > 0.0 { surfel.radiance } else { [0.0; 3] },
         tolerance: neighbor_tolerance(extent / distance, cosine.abs()),
     }
@@ -415,8 +419,7 @@ impl<L: Lanes> CutVisitor for WindowVisitor<'_, L> {
         if let Some(tile) = surfel_tile(seen, self.normal) {
             let bounds = tile.bounds();
             if self.window.is_met_by(bounds.min, bounds.max) {
-                let veil = Veil { start: 0.0, end: 1.0, seed: seen.seed };
-                self.raster.draw::<L, _>(self.window, &tile, &veil);
+                self.raster.draw::<L, _>(self.window, &tile, &Veil::OPAQUE);
             }
             return;
         }

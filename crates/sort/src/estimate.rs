@@ -68,7 +68,8 @@ pub struct EstimateReport {
 /// leave holes in `e⁻⁴`, below 2 %, of a random cloud and none in a regular one. The normal is the
 /// eigenvector of the smallest eigenvalue of the covariance of the surfel and its neighbors, on the
 /// side of `up`; where that eigenvalue is above 0.3 times the middle one, as in foliage, or all lie
-/// on a line, the surfel stays isotropic. A lone surfel far from a dense clump gets at most four times the area of its neighbors. Sizes are at least one cell of the finest level.
+/// on a line, the surfel stays isotropic. A lone surfel far from a dense clump gets at most four times the area of its
+/// neighbors. Sizes are at least one cell of the finest level.
 ///
 /// Neighbors are found among the 8192 surfels before and behind in Morton order, so beside the edges
 /// of large cells some are missed. Reads the stream once; 2 MiB of memory, within the 6 MiB every sort sets

@@ -37,7 +37,7 @@ impl Nearest {
 
     /// Distance to the farthest one found; 0 if there is none.
     pub fn reach(&self) -> f32 {
-        self.entries[..self.len].last().map_or(0.0, |e| e.0.sqrt())
+        self.reach_of(NEIGHBORS)
     }
 
     /// Distance to the `count`-th nearest one found, or to the farthest if there are fewer.
@@ -110,7 +110,7 @@ impl<'a> NeighborSearch<'a> {
         let last = index.min(self.codes.len().saturating_sub(CELL_SURFELS));
         (index.saturating_sub(span)..=last)
             .filter_map(|first| self.codes.get(first + span).map(|b| (self.codes[first], *b)))
-            .map(|(a, b)| common_level(a, b))
+            .map(|(a, b)| MortonCode(a).common_level(MortonCode(b)))
             .max()
             .unwrap_or(0)
     }
@@ -158,30 +158,10 @@ impl<'a> NeighborSearch<'a> {
     }
 }
 
-/// Deepest level where two codes share their cell.
-fn common_level(a: u64, b: u64) -> u32 {
-    match a ^ b {
-        0 => MORTON_AXIS_BITS,
-        difference => MORTON_AXIS_BITS - 1 - difference.ilog2() / 3,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use pbgi_math::Vec3;
-
-    #[test]
-    fn common_levels_are_those_of_cells() {
-        let a = MortonCode(0x1234_5678_9abc_def0);
-        for level in 0..MORTON_AXIS_BITS {
-            // Another octant at `level`, the same above.
-            let b = MortonCode(a.0 ^ (1 << (3 * (MORTON_AXIS_BITS - 1 - level))));
-            assert_eq!(common_level(a.0, b.0), level);
-            assert_eq!(a.cell_at(level), b.cell_at(level));
-        }
-        assert_eq!(common_level(a.0, a.0), MORTON_AXIS_BITS);
-    }
 
     #[test]
     fn neighbors_are_those_of_exhaustive_search() {
