@@ -246,7 +246,7 @@ impl<'a> Dump<'a> {
         self.show_u32("kind");
         let groups = u32_at(&self.bytes[self.at..], 0);
         self.show_u32("groups");
-        self.show_u32("surfel page");
+        self.show_u32("surfel page, pages back");
         self.show_u32("links offset");
         let links = u32_at(&self.bytes[self.at..], 0);
         self.show_u32("links");
@@ -255,7 +255,7 @@ impl<'a> Dump<'a> {
             self.group(group);
         }
         for link in 0..links {
-            self.show_u32(&format!("link {link}: page"));
+            self.show_u32(&format!("link {link}: pages back"));
             self.show_u32("  offset");
         }
     }

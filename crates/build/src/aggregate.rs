@@ -176,6 +176,10 @@ pub struct NodeAggregate {
     pub cover_margin: f32,
     /// Surfels below the node.
     pub surfel_count: u64,
+    /// `Σ aᵢ`, each area counted once.
+    pub area: f64,
+    /// `Σ aᵢ Lᵢ`, each area counted once.
+    pub flux: [f64; 3],
     /// Directional form, 1 to [`LOBES_MAX`] lobes.
     pub lobes: Vec<LobeSum>,
 }
@@ -191,14 +195,19 @@ impl NodeAggregate {
         assert!(!surfels.is_empty(), "a node holds at least one surfel");
         let mut bounds = Aabb::EMPTY;
         let mut cover_margin = 0f32;
+        let (mut area, mut flux) = (0.0, [0.0; 3]);
         for surfel in surfels {
+            area += f64::from(surfel.area);
+            for (sum, l) in flux.iter_mut().zip(surfel.radiance) {
+                *sum += f64::from(surfel.area) * f64::from(l);
+            }
             let (own, inner) = area_true_box(surfel);
             bounds = bounds.union(own);
             cover_margin = cover_margin.max(surfel.radius - inner);
         }
         let mut lobes = surfels.iter().map(LobeSum::from_surfel).collect();
         reduce_lobes(&mut lobes);
-        Self { bounds, cover_margin, surfel_count: surfels.len() as u64, lobes }
+        Self { bounds, cover_margin, surfel_count: surfels.len() as u64, area, flux, lobes }
     }
 
     /// Aggregate of an inner node.
@@ -212,12 +221,18 @@ impl NodeAggregate {
             bounds: Aabb::EMPTY,
             cover_margin: 0.0,
             surfel_count: 0,
+            area: 0.0,
+            flux: [0.0; 3],
             lobes: Vec::with_capacity(16),
         };
         for child in children {
             sum.bounds = sum.bounds.union(child.bounds);
             sum.cover_margin = sum.cover_margin.max(child.cover_margin);
             sum.surfel_count += child.surfel_count;
+            sum.area += child.area;
+            for (sum, part) in sum.flux.iter_mut().zip(child.flux) {
+                *sum += part;
+            }
             sum.lobes.extend_from_slice(&child.lobes);
         }
         assert!(sum.surfel_count > 0, "an inner node has children");

@@ -1,22 +1,27 @@
 //! One pass from sorted surfels to the octree file.
 //!
-//! Receives a stream in Morton order and must never know how it was sorted; holds the open path of the octree and the
-//! page being packed, whatever the number of surfels.
+//! Receives a stream in Morton order, or pieces of one, and must never know how it was sorted. Whole cells of a piece become subtrees, on
+//! any thread; they are joined along the open path of the octree. The file is the same for any division into pieces.
 #![forbid(unsafe_code)]
 
 mod aggregate;
 mod error;
-mod leaves;
-mod open_path;
+mod items;
+mod octree;
 mod pack;
+mod pages;
+mod pieces;
+mod stitch;
+mod tree;
 mod writer;
 
 pub use aggregate::{LobeSum, NodeAggregate};
 pub use error::BuildError;
-pub use open_path::build_octree;
+pub use octree::{build_octree, build_octree_from_pieces};
 
 use pbgi_cloud::Surfel;
 use pbgi_math::{DVec3, MortonCode, RootCube};
+use std::ops::Range;
 use std::sync::atomic::AtomicBool;
 
 /// Why a sorted stream failed, whatever it is.
@@ -30,6 +35,30 @@ pub trait SortedStream: Send {
     ///
     /// If the stream cannot be read on.
     fn read_chunk(&mut self, out: &mut Vec<(MortonCode, Surfel)>) -> Result<bool, StreamError>;
+}
+
+/// Surfels next to each other in the sorted stream.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Piece {
+    /// Codes in ascending order.
+    pub codes: Vec<MortonCode>,
+    /// Surfels of these codes, equal codes in input order.
+    pub surfels: Vec<Surfel>,
+    /// Codes of which no other piece holds a surfel; this one may hold others.
+    pub whole: Range<u64>,
+}
+
+/// Makes a piece, where there is a thread for it.
+pub type PieceTask = Box<dyn FnOnce() -> Piece + Send>;
+
+/// Pieces of the sorted stream in their order.
+pub trait PieceSource: Send {
+    /// The next piece; `None` at the end.
+    ///
+    /// # Errors
+    ///
+    /// If the stream cannot be read on.
+    fn next_piece(&mut self) -> Result<Option<PieceTask>, StreamError>;
 }
 
 /// What the whole stream will hold, known before its first surfel. None of the fields depends on the order of
@@ -79,8 +108,10 @@ pub struct BuildOptions<'a> {
     pub channels: ChannelChoice,
     /// Store albedo where any is given.
     pub albedo: bool,
-    /// Threads: with two or more, one cuts leaves while another builds on them.
+    /// Threads that build pieces; with one, everything is done by the caller's.
     pub threads: usize,
+    /// Pieces that may be prepared, built or wait at once, where there are several threads.
+    pub pieces_in_flight: usize,
     /// Set from outside to stop.
     pub cancel: &'a AtomicBool,
     /// Told the number of surfels done, now and then.
@@ -101,6 +132,7 @@ impl Default for BuildOptions<'_> {
             channels: ChannelChoice::AsNeeded,
             albedo: true,
             threads: 1,
+            pieces_in_flight: 4,
             cancel: &NEVER,
             progress: &|_| {},
         }

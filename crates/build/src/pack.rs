@@ -7,16 +7,32 @@ use pbgi_format::{
     SurfelLayout, group_bytes, write_group,
 };
 use pbgi_math::rectangle_half_edges;
+use std::borrow::Cow;
 
 /// A closed node that waits for its parent.
-pub(crate) struct PendingNode {
+pub(crate) struct PendingNode<'s> {
     pub aggregate: NodeAggregate,
-    pub content: PendingContent,
+    pub content: PendingContent<'s>,
 }
 
-pub(crate) enum PendingContent {
-    Leaf(Vec<Surfel>),
+pub(crate) enum PendingContent<'s> {
+    Leaf(Cow<'s, [Surfel]>),
     Group(Box<Group>),
+}
+
+impl<'s> PendingNode<'s> {
+    /// A leaf of at least one surfel.
+    pub fn leaf(surfels: Cow<'s, [Surfel]>) -> Self {
+        let aggregate = NodeAggregate::from_surfels(&surfels);
+        Self { aggregate, content: PendingContent::Leaf(surfels) }
+    }
+
+    /// Numbers the pages below anew: each gets `by` more.
+    pub fn move_pages(&mut self, by: u32) {
+        if let PendingContent::Group(group) = &mut self.content {
+            group.move_pages(by);
+        }
+    }
 }
 
 /// Where the contents of a group's child are.
@@ -54,7 +70,7 @@ impl Group {
     pub fn new(
         split: pbgi_math::Vec3,
         aggregate: &NodeAggregate,
-        nodes: Vec<(u32, PendingNode)>,
+        nodes: Vec<(u32, PendingNode<'_>)>,
         layout: &SurfelLayout,
     ) -> Self {
         let bounds = aggregate.bounds;
@@ -98,6 +114,16 @@ impl Group {
         };
         group.measure(layout);
         group
+    }
+
+    fn move_pages(&mut self, by: u32) {
+        for child in &mut self.children {
+            match &mut child.content {
+                ChildContent::External(link) => link.page.0 += by,
+                ChildContent::Group(group) => group.move_pages(by),
+                ChildContent::Leaf { .. } => {}
+            }
+        }
     }
 
     /// Children that are leaves, and all children.

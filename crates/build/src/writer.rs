@@ -1,11 +1,10 @@
 //! The file being written: pages first, then the page table, the header last, and a rename.
 
 use crate::error::BuildError;
-use crate::pack::{Group, pack_treelets};
+use crate::pack::Group;
+use crate::pages::{PageBatch, PageSink};
 use pbgi_format::{
-    ExternalLink, HEADER_BYTES, Header, NodePageFields, PAGE_ALIGNMENT, PageEntry, PageId,
-    PageKind, SURFEL_PAGE_HEADER_BYTES, SurfelLayout, finish_node_page, page_checksum,
-    write_surfel_page_header,
+    ExternalLink, HEADER_BYTES, Header, PAGE_ALIGNMENT, PageEntry, SurfelLayout, page_checksum,
 };
 use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom, Write};
@@ -63,50 +62,21 @@ impl FileWriter {
         Ok(writer)
     }
 
-    /// Writes treelets as a node page, after the page of their surfels if they have any.
-    pub fn write_treelets(
-        &mut self,
-        roots: &[&Group],
-        layout: &SurfelLayout,
-    ) -> Result<Vec<ExternalLink>, BuildError> {
-        let mut packed = pack_treelets(roots, layout);
-        let mut surfel_page = None;
-        if !packed.surfels.is_empty() {
-            self.surfel_bytes += packed.surfels.len() as u64;
-            let stride = layout.stored_bytes();
-            let mut page = Vec::with_capacity(SURFEL_PAGE_HEADER_BYTES + packed.surfels.len());
-            let count = (packed.surfels.len() / stride) as u32;
-            write_surfel_page_header(count, stride as u32, &mut page);
-            page.append(&mut packed.surfels);
-            surfel_page = Some(self.write_page(PageKind::Surfels, &page)?);
+    /// Writes pages, and returns the number of the first. They were made as pages of any number.
+    pub fn append(&mut self, batch: PageBatch) -> Result<u32, BuildError> {
+        let first = self.page_count;
+        self.page_count += batch.entries.len() as u64;
+        if self.page_count >= u64::from(u32::MAX) {
+            return Err(BuildError::TooManyPages { limit: u64::from(u32::MAX) });
         }
-        let fields = NodePageFields { group_count: packed.group_count, surfel_page };
-        finish_node_page(&mut packed.nodes, fields, &packed.links);
-        let page = self.write_page(PageKind::Nodes, &packed.nodes)?;
-        Ok(packed.root_offsets.iter().map(|&offset| ExternalLink { page, offset }).collect())
-    }
-
-    fn write_page(&mut self, kind: PageKind, decoded: &[u8]) -> Result<PageId, BuildError> {
-        let id = u32::try_from(self.page_count).ok().filter(|&id| id < u32::MAX);
-        let id = id.ok_or(BuildError::TooManyPages { limit: u64::from(u32::MAX) })?;
-        let packed = self.compress.then(|| lz4_flex::block::compress(decoded));
-        let stored = match &packed {
-            Some(smaller) if smaller.len() < decoded.len() => smaller,
-            _ => decoded,
-        };
+        self.surfel_bytes += batch.surfel_bytes;
         self.align()?;
-        PageEntry {
-            offset: self.position,
-            stored_bytes: stored.len() as u32,
-            decoded_bytes: decoded.len() as u32,
-            checksum: page_checksum(stored),
-            kind,
+        for entry in batch.entries {
+            self.page_bytes_max = self.page_bytes_max.max(entry.decoded_bytes);
+            PageEntry { offset: self.position + entry.offset, ..entry }.write(&mut self.table);
         }
-        .write(&mut self.table);
-        self.write(stored)?;
-        self.page_count += 1;
-        self.page_bytes_max = self.page_bytes_max.max(decoded.len() as u32);
-        Ok(PageId(id))
+        self.write(&batch.bytes)?;
+        Ok(first as u32)
     }
 
     fn align(&mut self) -> Result<(), BuildError> {
@@ -156,6 +126,19 @@ impl FileWriter {
             }
         }
         Ok((file_bytes, self.page_count))
+    }
+}
+
+impl PageSink for FileWriter {
+    fn write_treelets(
+        &mut self,
+        roots: &[&Group],
+        layout: &SurfelLayout,
+    ) -> Result<Vec<ExternalLink>, BuildError> {
+        let mut batch = PageBatch::new(self.page_count as u32, self.compress);
+        let links = batch.write_treelets(roots, layout)?;
+        self.append(batch)?;
+        Ok(links)
     }
 }
 

@@ -55,6 +55,16 @@ pub trait SurfelSource: Send {
         None
     }
 
+    /// Box of all centers, found by reading the positions once more where it is not known and the source can be read twice;
+    /// `None` where it cannot. The next chunk stays the same.
+    ///
+    /// # Errors
+    ///
+    /// If the cloud cannot be read.
+    fn find_bounds(&mut self) -> Result<Option<Aabb>, CloudError> {
+        Ok(self.bounds())
+    }
+
     /// Number of surfels, where known before reading.
     fn count(&self) -> Option<u64> {
         None

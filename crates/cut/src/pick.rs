@@ -161,7 +161,7 @@ pub fn pick_cut<V: CutVisitor, T: Threshold>(
             continue;
         }
         let invalid = |reader: &Reader<'_>, page, source| reader.invalid_page(page, source);
-        let view = match NodePage::new(frame.page.bytes()) {
+        let view = match NodePage::new(frame.page.bytes(), frame.page_id) {
             Ok(view) => view,
             Err(error) => return Err(invalid(reader, frame.page_id, error)),
         };
@@ -223,7 +223,7 @@ fn open_frame<T: Threshold>(
     layout: &SurfelLayout,
     stats: &mut CutStats,
 ) -> Result<Frame, StoreError> {
-    let view = match NodePage::new(page.bytes()) {
+    let view = match NodePage::new(page.bytes(), page_id) {
         Ok(view) => view,
         Err(error) => return Err(reader.invalid_page(page_id, error)),
     };

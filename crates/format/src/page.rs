@@ -47,14 +47,20 @@ pub struct NodePageFields {
 }
 
 /// Completes a node page: `page` starts with [`NODE_PAGE_HEADER_BYTES`] zero bytes and the groups;
-/// the header is filled in and the external links are appended.
-pub fn finish_node_page(page: &mut Vec<u8>, fields: NodePageFields, links: &[ExternalLink]) {
+/// the header is filled in and the external links are appended. Links lead to pages of smaller numbers than `own`, the
+/// page's, and are stored as the difference, so that a subtree's pages are the same wherever they lie in the file.
+pub fn finish_node_page(
+    page: &mut Vec<u8>,
+    own: PageId,
+    fields: NodePageFields,
+    links: &[ExternalLink],
+) {
     let links_offset = page.len() as u32;
     for link in links {
-        page.extend_from_slice(&link.page.0.to_le_bytes());
+        page.extend_from_slice(&(own.0 - link.page.0).to_le_bytes());
         page.extend_from_slice(&link.offset.to_le_bytes());
     }
-    let surfel_page = fields.surfel_page.map_or(u32::MAX, |p| p.0);
+    let surfel_page = fields.surfel_page.map_or(0, |p| own.0 - p.0);
     for (i, value) in
         [PageKind::Nodes as u32, fields.group_count, surfel_page, links_offset, links.len() as u32]
             .into_iter()
@@ -75,17 +81,18 @@ pub fn write_surfel_page_header(surfel_count: u32, surfel_bytes: u32, out: &mut 
 #[derive(Clone, Copy, Debug)]
 pub struct NodePage<'a> {
     bytes: &'a [u8],
+    own: PageId,
     links_offset: u32,
     link_count: u32,
 }
 
 impl<'a> NodePage<'a> {
-    /// Views a page whose checksum is already verified.
+    /// Views page `own`, whose checksum is already verified.
     ///
     /// # Errors
     ///
     /// If the header contradicts the page's size.
-    pub fn new(bytes: &'a [u8]) -> Result<Self, FormatError> {
+    pub fn new(bytes: &'a [u8], own: PageId) -> Result<Self, FormatError> {
         if bytes.len() < NODE_PAGE_HEADER_BYTES {
             return Err(FormatError::new("node page: bytes", bytes.len(), "at least 32"));
         }
@@ -100,7 +107,7 @@ impl<'a> NodePage<'a> {
         if bytes[20..32].iter().any(|&b| b != 0) {
             return Err(FormatError::new("node page: reserved", "non-zero bytes", 0));
         }
-        Ok(Self { bytes, links_offset, link_count })
+        Ok(Self { bytes, own, links_offset, link_count })
     }
 
     /// The whole page.
@@ -121,14 +128,19 @@ impl<'a> NodePage<'a> {
     #[must_use]
     #[inline(always)]
     pub fn fields(&self) -> NodePageFields {
-        let surfel_page = read_u32(self.bytes, 8);
         NodePageFields {
             group_count: read_u32(self.bytes, 4),
-            surfel_page: (surfel_page != u32::MAX).then_some(PageId(surfel_page)),
+            surfel_page: self.pages_back(read_u32(self.bytes, 8)),
         }
     }
 
-    /// External link `index`, if there is one.
+    /// The page so many before this one, if there is one.
+    #[inline(always)]
+    fn pages_back(&self, distance: u32) -> Option<PageId> {
+        (1..=self.own.0).contains(&distance).then(|| PageId(self.own.0 - distance))
+    }
+
+    /// External link `index`, if there is one and it leads to a page before this one.
     #[must_use]
     #[inline(always)]
     pub fn external_link(&self, index: u32) -> Option<ExternalLink> {
@@ -136,10 +148,8 @@ impl<'a> NodePage<'a> {
             return None;
         }
         let at = self.links_offset as usize + 8 * index as usize;
-        Some(ExternalLink {
-            page: PageId(read_u32(self.bytes, at)),
-            offset: read_u32(self.bytes, at + 4),
-        })
+        let page = self.pages_back(read_u32(self.bytes, at))?;
+        Some(ExternalLink { page, offset: read_u32(self.bytes, at + 4) })
     }
 }
 
@@ -202,15 +212,21 @@ mod tests {
         let mut page = vec![0; NODE_PAGE_HEADER_BYTES + 8];
         let fields = NodePageFields { group_count: 1, surfel_page: Some(PageId(3)) };
         let link = ExternalLink { page: PageId(9), offset: 96 };
-        finish_node_page(&mut page, fields, &[link]);
-        let view = NodePage::new(&page).unwrap();
+        finish_node_page(&mut page, PageId(12), fields, &[link]);
+        // The distances are stored.
+        assert_eq!((page[8], page[40]), (9, 3));
+        let view = NodePage::new(&page, PageId(12)).unwrap();
         assert_eq!(view.fields(), fields);
         assert_eq!(view.external_link(0), Some(link));
         assert_eq!(view.external_link(1), None);
         assert_eq!(view.groups_end(), 40);
         for length in 0..page.len() {
-            assert!(NodePage::new(&page[..length]).is_err());
+            assert!(NodePage::new(&page[..length], PageId(12)).is_err());
         }
+        // Pages before the first are none.
+        assert_eq!(NodePage::new(&page, PageId(2)).unwrap().external_link(0), None);
+        let moved = NodePage::new(&page, PageId(9)).unwrap();
+        assert_eq!(moved.fields().surfel_page, Some(PageId(0)));
     }
 
     #[test]

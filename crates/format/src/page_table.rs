@@ -13,7 +13,7 @@ impl std::fmt::Display for PageId {
 }
 
 /// Pages start at multiples of this many bytes.
-pub const PAGE_ALIGNMENT: u64 = 4096;
+pub const PAGE_ALIGNMENT: u64 = 64;
 
 /// Bytes of one entry.
 pub const PAGE_ENTRY_BYTES: usize = 32;
@@ -67,7 +67,7 @@ impl PageEntry {
             return Err(FormatError::new(
                 "page table: offset",
                 entry.offset,
-                "a positive multiple of 4096",
+                "a positive multiple of 64",
             ));
         }
         if entry.stored_bytes == 0 || entry.decoded_bytes < entry.stored_bytes {

@@ -8,14 +8,16 @@ use crate::input::Inputs;
 use crate::memory::peak_resident_bytes;
 use crate::output_path::temporary_octree;
 use crate::progress::{Phase, Progress, format_bytes};
-use crate::relight::{EmissionStream, Light, PassSettings, RelitStream, check_canceled};
-use pbgi_build::{BuildOptions, BuildReport, ChannelChoice, StreamSummary, build_octree};
+use crate::relight::{EmissionPieces, Light, PassSettings, RelitStream, check_canceled};
+use pbgi_build::{
+    BuildOptions, BuildReport, ChannelChoice, StreamSummary, build_octree, build_octree_from_pieces,
+};
 use pbgi_cloud::SurfelSource;
 use pbgi_light::UpAxis;
 use pbgi_math::Vec3;
 use pbgi_sort::{
     EstimateOptions, SortOptions, SortPhase, SortProgress, SortedSurfels, SurfelSummary,
-    estimate_surfels, sort_surfels,
+    estimate_surfels, pieces_in_flight, sort_surfels,
 };
 use pbgi_store::{Octree, OpenOptions};
 use std::path::Path;
@@ -232,7 +234,8 @@ impl<'a> Baker<'a> {
         let phase = self.progress.start_phase("build", "surfels", Some(summary.count));
         let options = BuildOptions { progress: &|done| phase.set_done(done), ..*options };
         let summary = self.stream_summary(&summary, summary.radiance_max);
-        let build = build_octree(&mut EmissionStream { sorted }, &summary, &options, target)?;
+        let mut pieces = EmissionPieces { sorted };
+        let build = build_octree_from_pieces(&mut pieces, &summary, &options, target)?;
         phase.set_done(build.surfels);
         drop(phase);
         self.end_phase("build", start, build.surfels);
@@ -294,6 +297,7 @@ impl<'a> Baker<'a> {
             compress: self.request.compress,
             albedo: !self.request.occlusion_only,
             threads: self.memory.threads,
+            pieces_in_flight: pieces_in_flight(self.memory.threads),
             cancel: self.cancel,
             ..BuildOptions::default()
         }
@@ -303,6 +307,7 @@ impl<'a> Baker<'a> {
         BuildOptions {
             albedo: false,
             threads: self.memory.threads,
+            pieces_in_flight: pieces_in_flight(self.memory.threads),
             cancel: self.cancel,
             ..BuildOptions::default()
         }
@@ -386,9 +391,8 @@ impl<'a> SortPhases<'a> {
             // The phase before ends before the next one starts.
             *current = None;
             let name = match state.phase {
+                SortPhase::Bounds => "bounds",
                 SortPhase::Read | SortPhase::Estimate => "sort",
-                SortPhase::SortRuns => "sort runs",
-                SortPhase::Merge => "merge",
             };
             let phase = self.progress.start_phase(name, "surfels", state.total.or(self.total));
             *current = Some((state.phase, phase));

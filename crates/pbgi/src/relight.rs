@@ -9,13 +9,13 @@ use crate::PbgiError;
 use crate::progress::Phase;
 use crate::shade::EnvironmentSpec;
 use crate::share::{Shared, cell_len};
-use pbgi_build::{SortedStream, StreamError};
+use pbgi_build::{Piece, PieceSource, PieceTask, SortedStream, StreamError};
 use pbgi_cloud::Surfel;
 use pbgi_math::{MortonCode, Vec3};
 use pbgi_schedule::{
     GatherSettings, PreparedLight, Receiver, ShadeOptions, Shading, shade_receivers,
 };
-use pbgi_sort::SortedSurfels;
+use pbgi_sort::{SortedPiece, SortedSurfels};
 use pbgi_store::Octree;
 use std::f32::consts::PI;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -159,13 +159,19 @@ fn spread_directions(count: usize) -> impl Iterator<Item = Vec3> {
 }
 
 /// The sorted surfels as they are.
-pub(crate) struct EmissionStream<'a> {
+pub(crate) struct EmissionPieces<'a> {
     pub sorted: &'a mut SortedSurfels,
 }
 
-impl SortedStream for EmissionStream<'_> {
-    fn read_chunk(&mut self, out: &mut Vec<(MortonCode, Surfel)>) -> Result<bool, StreamError> {
-        Ok(self.sorted.read_chunk(out).map_err(PbgiError::from)?)
+impl PieceSource for EmissionPieces<'_> {
+    fn next_piece(&mut self) -> Result<Option<PieceTask>, StreamError> {
+        let piece = self.sorted.next_piece().map_err(PbgiError::from)?;
+        Ok(piece.map(|piece| -> PieceTask {
+            Box::new(move || {
+                let SortedPiece { codes, surfels, whole } = piece.sort();
+                Piece { codes, surfels, whole }
+            })
+        }))
     }
 }
 

@@ -3,7 +3,7 @@
 use crate::eigen::Symmetric3;
 use crate::neighbors::{Nearest, NeighborSearch};
 use crate::options::{SortOptions, SortPhase};
-use crate::sorted::{SortedSurfels, Store};
+use crate::sorted::{SortedSurfels, SortedWalk, Store};
 use crate::temp_file::TempFile;
 use crate::{SortError, SurfelSummary};
 use pbgi_cloud::{Surfel, SurfelFlags};
@@ -72,8 +72,8 @@ pub struct EstimateReport {
 /// neighbors. Sizes are at least one cell of the finest level.
 ///
 /// Neighbors are found among the 8192 surfels before and behind in Morton order, so beside the edges
-/// of large cells some are missed. Reads the stream once; 2 MiB of memory, within the 6 MiB every sort sets
-/// aside. A stream on disk is written once more, into one temporary file. The result is the same for
+/// of large cells some are missed. Reads the stream once; 2 MiB of memory, within what every sort sets
+/// aside. The result is held in memory where the budget of the sort holds the surfels twice, else it goes into one more temporary file. It is the same for
 /// any number of threads. Without anything to estimate, `sorted` comes back as it is.
 ///
 /// # Errors
@@ -93,38 +93,37 @@ pub fn estimate_surfels(
     let pool = sort_options.thread_pool()?;
     let mut window = Window::default();
     let mut summary = SurfelSummary { root: before.root, ..SurfelSummary::new(before.origin) };
-    let mut file = match &sorted.store {
-        Store::Memory(_) => None,
-        Store::Runs(_) | Store::File { .. } => {
-            let file = TempFile::create(&sorted.temp_dir)?;
-            file.check_room(before.count)?;
-            Some(file)
-        }
-    };
+    // Beside what is read from, where both fit.
+    let is_held = sorted.run_count() == 0 && 2 * before.count as usize <= sorted.plan.held_surfels;
+    let mut held = Vec::with_capacity(if is_held { before.count as usize } else { 0 });
+    let mut file = None;
+    if !is_held {
+        let created = TempFile::create(&sorted.temp_dir)?;
+        created.check_room(before.count)?;
+        file = Some(created);
+    }
+    let mut surfels = Vec::with_capacity(BATCH);
     while summary.count < before.count {
         let first = summary.count;
         window.advance(&mut sorted, first)?;
         let batch = window.estimate(&before.root, first, options, &pool);
-        for (surfel, outcome) in &batch {
-            summary.add(surfel);
+        surfels.clear();
+        for (surfel, outcome) in batch {
+            summary.add(&surfel);
             outcome.count(&mut report);
+            surfels.push(surfel);
         }
-        let surfels: Vec<Surfel> = batch.into_iter().map(|(surfel, _)| surfel).collect();
-        if let Store::Memory(buffer) = &mut sorted.store {
-            for (i, surfel) in surfels.iter().enumerate() {
-                buffer.replace_sorted(first as usize + i, *surfel);
-            }
-        } else if let Some(file) = &mut file {
-            file.append(&surfels)?;
+        match &mut file {
+            Some(file) => file.append(&surfels)?,
+            None => held.extend_from_slice(&surfels),
         }
         sort_options.check(SortPhase::Estimate, summary.count, Some(before.count))?;
     }
-    let temp_dir = sorted.temp_dir.clone();
     let store = match file {
-        Some(file) => Store::File { file, chunk: Vec::new() },
-        None => sorted.store,
+        Some(file) => Store::File(file, SortedWalk::default()),
+        None => Store::Memory(held, SortedWalk::default()),
     };
-    Ok((SortedSurfels::new(summary, store, &temp_dir), report))
+    Ok((SortedSurfels::new(summary, sorted.plan, store, &sorted.temp_dir), report))
 }
 
 /// What happened to one surfel.

@@ -1,34 +1,35 @@
 //! What the caller grants and wants to know, and how a budget is divided.
 
 use crate::SortError;
+use crate::buckets::SURFEL_BYTES;
 use pbgi_cloud::Surfel;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Bytes for everything but runs and merge buffers: a chunk of the source, the write buffer, the
-/// window of estimation, the state of the merge.
-const FIXED_BYTES: u64 = 6 << 20;
+/// Bytes for everything but surfels: chunks of the source, the write buffer, the window of estimation.
+const FIXED_BYTES: u64 = 5 << 20;
 /// Smallest budget.
 pub const BUDGET_BYTES_MIN: u64 = 8 << 20;
-/// Bytes a surfel takes while its run is sorted: itself, and its Morton code and index.
-pub(crate) const SORT_BYTES: u64 = (size_of::<Surfel>() + size_of::<(u64, u32)>()) as u64;
-/// Merge buffers below this size would make the disk seek more than it reads.
-const MERGE_BUFFER_BYTES_MIN: u64 = 64 << 10;
-/// Larger merge buffers read no faster.
-const MERGE_BUFFER_BYTES_MAX: u64 = 2 << 20;
+/// Bytes a surfel of a piece takes until it is built: itself twice, its code and rank, what is built of it.
+const PIECE_SURFEL_BYTES: u64 = 160;
+/// Surfels of a piece: larger ones leave the processor's caches.
+const PIECE_SURFELS_MAX: u64 = 1 << 17;
+/// Smaller pieces would be all seams; only budgets of less than half a megabyte for each thread have so small ones.
+const PIECE_SURFELS_MIN: u64 = 64;
+/// Bytes of memory for each cell that may be divided early: most cells hold surfels, and waste half a block.
+const BYTES_PER_CELL: u64 = 16 << 10;
+/// Larger read buffers read no faster.
+const READ_BUFFER_BYTES_MAX: u64 = 1 << 20;
 
 /// How to sort.
 #[derive(Clone)]
 pub struct SortOptions<'a> {
-    /// Bytes the sort may hold at once, its result in memory included, at least
-    /// [`BUDGET_BYTES_MIN`]. Of the budget *B*, 6 MiB are set aside; a run is as many surfels as
-    /// fit into the rest at 60 bytes each (44 for the surfel, 16 for its key), so up to
-    /// (*B* − 6 MiB) / 60 surfels never touch the disk. Merging *n* runs takes *n* buffers of
-    /// (*B* − 6 MiB) / *n* bytes, within 64 KiB to 2 MiB; more than (*B* − 6 MiB) / 64 KiB runs are
-    /// merged in several passes. What the source holds is its own.
+    /// Bytes the sort may hold at once, its result and the pieces it hands out included, at least
+    /// [`BUDGET_BYTES_MIN`]. Of the budget *B*, 5 MiB and *B*/32 are set aside, and up to *B*/4 for pieces; the rest
+    /// takes surfels at 44 bytes each, and what fits there never touches the disk. What the source holds is its own.
     pub budget_bytes: u64,
     /// Folder for temporary files. They have no name there, so that nothing stays behind, and take
-    /// 44 bytes per surfel, twice that when merging takes several passes.
+    /// 44 bytes per surfel, twice that where the source does not know its bounds.
     pub temp_dir: PathBuf,
     /// Threads to sort with; 0 for one per core.
     pub threads: usize,
@@ -67,6 +68,14 @@ impl SortOptions<'_> {
         }
     }
 
+    /// Threads to sort with, resolved.
+    pub(crate) fn thread_count(&self) -> usize {
+        match self.threads {
+            0 => std::thread::available_parallelism().map_or(1, usize::from),
+            threads => threads,
+        }
+    }
+
     pub(crate) fn thread_pool(&self) -> Result<rayon::ThreadPool, SortError> {
         rayon::ThreadPoolBuilder::new()
             .num_threads(self.threads)
@@ -79,12 +88,10 @@ impl SortOptions<'_> {
 /// What the sort is doing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SortPhase {
-    /// Reading the source, and sorting and writing runs as they fill.
+    /// Reading the source once only to find its bounds.
+    Bounds,
+    /// Reading the source and dividing it by place.
     Read,
-    /// Sorting runs that were written before the bounds were known.
-    SortRuns,
-    /// Merging runs, because there are too many to merge while reading.
-    Merge,
     /// Estimating normals and sizes.
     Estimate,
 }
@@ -103,37 +110,50 @@ pub struct SortProgress {
 /// Sizes derived from the budget.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Plan {
-    /// Surfels of a run.
-    pub run_surfels: usize,
-    /// Most runs merged at once, at least 2.
-    pub fan_in: usize,
-    /// Bytes of all merge buffers together.
-    pub merge_bytes: u64,
+    /// Surfels held in memory.
+    pub held_surfels: usize,
+    /// Most surfels of a piece.
+    pub piece_surfels: usize,
+    /// Cells up to which cells are divided before they are full.
+    pub early_cells: usize,
+    /// Bytes to read runs with, all together.
+    pub read_bytes: u64,
 }
 
 impl Plan {
     /// The plan of a budget.
-    pub fn new(budget_bytes: u64) -> Result<Self, SortError> {
+    pub fn new(budget_bytes: u64, threads: usize) -> Result<Self, SortError> {
         if budget_bytes < BUDGET_BYTES_MIN {
             return Err(SortError::BudgetTooSmall {
                 found: budget_bytes,
                 expected: BUDGET_BYTES_MIN,
             });
         }
-        let free = budget_bytes - FIXED_BYTES;
+        let free = budget_bytes - FIXED_BYTES - budget_bytes / 32;
+        // Pieces that are sorted, built, or wait for their turn.
+        let pieces_at_once = pieces_in_flight(threads) as u64 + 1;
+        let surfel_bytes = PIECE_SURFEL_BYTES * pieces_at_once;
+        let piece_surfels = (free / 4 / surfel_bytes).clamp(PIECE_SURFELS_MIN, PIECE_SURFELS_MAX);
+        let held_bytes = free.saturating_sub(piece_surfels * surfel_bytes).max(free / 4);
         Ok(Self {
-            // Indices within a run are u32.
-            run_surfels: (free / SORT_BYTES).min(u64::from(u32::MAX)) as usize,
-            fan_in: (free / MERGE_BUFFER_BYTES_MIN).min(1 << 16) as usize,
-            merge_bytes: free,
+            held_surfels: (held_bytes as f64 / SURFEL_BYTES) as usize,
+            piece_surfels: piece_surfels as usize,
+            early_cells: (held_bytes / BYTES_PER_CELL) as usize,
+            read_bytes: held_bytes / 2,
         })
     }
 
-    /// Surfels of each buffer when `runs` are merged.
-    pub fn merge_buffer_surfels(&self, runs: usize) -> usize {
-        let bytes = (self.merge_bytes / runs.max(1) as u64).min(MERGE_BUFFER_BYTES_MAX);
+    /// Surfels of the read buffer of each run.
+    pub fn read_buffer_surfels(&self, runs: usize) -> usize {
+        let bytes = (self.read_bytes / runs.max(1) as u64).min(READ_BUFFER_BYTES_MAX);
         (bytes as usize / size_of::<Surfel>()).max(1)
     }
+}
+
+/// Pieces that may be worked on or wait at once when `threads` work on them.
+#[must_use]
+pub fn pieces_in_flight(threads: usize) -> usize {
+    2 * threads.max(1)
 }
 
 #[cfg(test)]
@@ -143,14 +163,21 @@ mod tests {
     #[test]
     fn plans_stay_within_their_budget() {
         for budget in [BUDGET_BYTES_MIN, 16 << 20, 100 << 20, 64 << 30, 1 << 45] {
-            let plan = Plan::new(budget).unwrap();
-            assert!(plan.run_surfels as u64 * SORT_BYTES + FIXED_BYTES <= budget);
-            for runs in [2, 7, plan.fan_in] {
-                let buffers = plan.merge_buffer_surfels(runs) as u64 * 44 * runs as u64;
-                assert!(buffers + FIXED_BYTES <= budget);
+            for threads in [1, 2, 16] {
+                let plan = Plan::new(budget, threads).unwrap();
+                let pieces = (pieces_in_flight(threads) as u64 + 1)
+                    * plan.piece_surfels as u64
+                    * PIECE_SURFEL_BYTES;
+                let held = (plan.held_surfels as f64 * SURFEL_BYTES) as u64;
+                assert!(held + pieces + FIXED_BYTES <= budget, "{budget} {threads}");
+                // A node of the trie and its list take 24 bytes.
+                assert!(plan.early_cells as u64 * 24 <= budget / 32);
+                for runs in [2, 7] {
+                    let buffers = plan.read_buffer_surfels(runs) as u64 * 44 * runs as u64;
+                    assert!(buffers <= plan.read_bytes);
+                }
             }
-            assert!(plan.fan_in >= 2);
         }
-        assert!(matches!(Plan::new(1000), Err(SortError::BudgetTooSmall { found: 1000, .. })));
+        assert!(matches!(Plan::new(1000, 1), Err(SortError::BudgetTooSmall { found: 1000, .. })));
     }
 }

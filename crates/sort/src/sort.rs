@@ -1,21 +1,25 @@
 //! From a source to the sorted stream.
 
-use crate::merge::Merger;
+use crate::buckets::Buckets;
 use crate::options::{Plan, SortOptions, SortPhase};
-use crate::run_buffer::RunBuffer;
-use crate::sorted::{CHUNK, Runs, SortedSurfels, Store};
-use crate::temp_file::TempFile;
+use crate::pieces::{Content, DividedSurfels, PieceWalk};
+use crate::reader::{Checked, with_chunks};
+use crate::runs::Runs;
+use crate::sorted::{SortedSurfels, Store};
+use crate::temp_file::{SpooledSource, TempFile};
+use crate::trie::{Cell, Trie};
 use crate::{SortError, SurfelSummary};
 use pbgi_cloud::{Surfel, SurfelSource};
-use pbgi_math::{Aabb, RootCube, Vec3};
-use std::ops::Range;
+use pbgi_math::{Aabb, MortonCode, RootCube, Vec3};
+
+/// Surfels after which a cell may be divided although it is not full, where the rest of the input will fill it.
+const EARLY_SURFELS: u64 = 1024;
 
 /// Sorts all surfels of `source` into Morton order, equal codes in input order.
 ///
-/// The root cube is that of the source's bounds where it knows them, else that of all centers. The
-/// result is the same for every budget, number of threads and chunking of the source. The source is
-/// read once; see [`SortOptions::budget_bytes`] for the memory held and [`SortOptions::temp_dir`]
-/// for the disk.
+/// The root cube is that of the bounds of all centers. The result is the same for every budget, number of threads and
+/// chunking of the source. A source that does not know its bounds ([`SurfelSource::find_bounds`]) is written down once more.
+/// See [`SortOptions::budget_bytes`] for the memory held and [`SortOptions::temp_dir`] for the disk.
 ///
 /// # Errors
 ///
@@ -25,7 +29,7 @@ pub fn sort_surfels(
     source: &mut dyn SurfelSource,
     options: &SortOptions,
 ) -> Result<SortedSurfels, SortError> {
-    sort_with_plan(source, options, Plan::new(options.budget_bytes)?)
+    sort_with_plan(source, options, Plan::new(options.budget_bytes, options.thread_count())?)
 }
 
 pub(crate) fn sort_with_plan(
@@ -33,168 +37,147 @@ pub(crate) fn sort_with_plan(
     options: &SortOptions,
     plan: Plan,
 ) -> Result<SortedSurfels, SortError> {
-    let mut sorter = Sorter {
-        options,
-        plan,
-        pool: options.thread_pool()?,
-        stated_bounds: source.bounds(),
-        stated_count: source.count(),
-        summary: SurfelSummary::new(source.origin()),
-        buffer: RunBuffer::new(plan.run_surfels),
-        spill: None,
-    };
-    sorter.read_all(source)?;
-    sorter.finish()
+    match source.find_bounds()? {
+        Some(bounds) => Sorter::new(options, plan, &bounds, source.count()).sort(source),
+        None => {
+            let (mut spooled, bounds) = spool(source, options)?;
+            let count = spooled.count();
+            Sorter::new(options, plan, &bounds, count).sort(&mut spooled)
+        }
+    }
 }
 
-/// Runs on disk.
-struct Spill {
-    file: TempFile,
-    runs: Vec<Range<u64>>,
+/// Writes a source down as it is, and finds its bounds.
+fn spool(
+    source: &mut dyn SurfelSource,
+    options: &SortOptions,
+) -> Result<(SpooledSource, Aabb), SortError> {
+    let (origin, total) = (source.origin(), source.count());
+    let mut file = TempFile::create(&options.temp_dir)?;
+    file.check_room(total.unwrap_or(0))?;
+    let Checked { summary, .. } =
+        with_chunks(source, None, options.thread_count(), &mut |chunk: &[Surfel]| {
+            file.append(chunk)?;
+            options.check(SortPhase::Bounds, file.count(), total)
+        })?;
+    Ok((SpooledSource::new(file, origin), summary.bounds))
 }
 
 struct Sorter<'a> {
     options: &'a SortOptions<'a>,
     plan: Plan,
-    pool: rayon::ThreadPool,
-    stated_bounds: Option<Aabb>,
-    stated_count: Option<u64>,
-    summary: SurfelSummary,
-    buffer: RunBuffer,
-    spill: Option<Spill>,
+    bounds: Aabb,
+    root: RootCube,
+    total: Option<u64>,
+    trie: Trie,
+    buckets: Buckets,
+    runs: Option<Runs>,
+    /// Surfels divided so far.
+    done: u64,
 }
 
-impl Sorter<'_> {
-    fn read_all(&mut self, source: &mut dyn SurfelSource) -> Result<(), SortError> {
-        let mut chunk = Vec::new();
-        loop {
-            chunk.clear();
-            let more = source.read_chunk(&mut chunk)?;
-            for surfel in &chunk {
-                self.check(surfel)?;
-                self.summary.add(surfel);
-            }
-            let mut rest = chunk.as_slice();
-            loop {
-                rest = &rest[self.buffer.push(rest)..];
-                if rest.is_empty() {
-                    break;
+impl<'a> Sorter<'a> {
+    fn new(options: &'a SortOptions<'a>, plan: Plan, bounds: &Aabb, total: Option<u64>) -> Self {
+        let root = match bounds.is_empty() {
+            true => RootCube { min: Vec3::ZERO, edge: 1.0 },
+            false => RootCube::from_bounds(bounds),
+        };
+        let mut buckets = Buckets::new(plan.held_surfels);
+        let trie = Trie::new();
+        buckets.reserve_lists(trie.node_count());
+        Self { options, plan, bounds: *bounds, root, total, trie, buckets, runs: None, done: 0 }
+    }
+
+    fn sort(mut self, source: &mut dyn SurfelSource) -> Result<SortedSurfels, SortError> {
+        let (root, threads) = (self.root, self.options.thread_count());
+        let mut codes = Vec::new();
+        let bounds = self.bounds;
+        let Checked { summary, .. } =
+            with_chunks(source, Some(&bounds), threads, &mut |chunk: &[Surfel]| {
+                codes.clear();
+                codes.extend(chunk.iter().map(|surfel| root.code(surfel.center())));
+                for (surfel, code) in chunk.iter().zip(&codes) {
+                    self.take(surfel, *code)?;
                 }
-                self.spill()?;
-            }
-            self.options.check(SortPhase::Read, self.summary.count, self.stated_count)?;
-            if !more {
-                return Ok(());
-            }
-        }
+                self.options.check(SortPhase::Read, self.done, self.total)
+            })?;
+        self.finish(SurfelSummary { root, ..summary })
     }
 
-    fn check(&self, surfel: &Surfel) -> Result<(), SortError> {
-        let bad = |what| Err(SortError::BadSource { index: self.summary.count, what });
-        let center = surfel.center();
-        let sizes = [surfel.radius, surfel.area];
-        if !center.is_finite() {
-            return bad("has a position that is not finite");
+    /// Puts a surfel where it belongs.
+    #[inline]
+    fn take(&mut self, surfel: &Surfel, code: MortonCode) -> Result<(), SortError> {
+        let mut cell = self.trie.locate(code);
+        if self.is_to_divide(cell) {
+            self.trie.divide(cell);
+            self.buckets.reserve_lists(self.trie.node_count());
+            cell = self.trie.locate(code);
         }
-        if !sizes.iter().all(|s| (0.0..f32::INFINITY).contains(s))
-            || (surfel.radius > 0.0) != (surfel.area > 0.0)
-        {
-            return bad("has a radius or area that is not above 0");
+        if !self.buckets.push(cell.node, surfel) {
+            self.spill()?;
+            self.buckets.push(cell.node, surfel);
         }
-        match &self.stated_bounds {
-            Some(bounds) if !bounds.contains(center) => bad("lies outside the stated bounds"),
-            _ => Ok(()),
-        }
+        self.trie.add(cell.node);
+        self.done += 1;
+        Ok(())
     }
 
-    /// The root cube, as soon as bounds are known.
-    fn root_of(bounds: &Aabb) -> RootCube {
-        if bounds.is_empty() {
-            RootCube { min: Vec3::ZERO, edge: 1.0 }
-        } else {
-            RootCube::from_bounds(bounds)
+    /// Whether a cell is full, or will be.
+    #[inline]
+    fn is_to_divide(&self, cell: Cell) -> bool {
+        let count = self.trie.count(cell.node);
+        if count < EARLY_SURFELS.min(self.cell_surfels()) || cell.child_count() == 0 {
+            return false;
         }
+        if count >= self.cell_surfels() {
+            return true;
+        }
+        // Where the rest of the input lies as what came so far does.
+        let expected = self.total.map_or(0, |total| count as u128 * u128::from(total));
+        self.trie.node_count() < self.plan.early_cells
+            && expected > u128::from(self.cell_surfels()) * u128::from(self.done)
     }
 
-    /// Moves the buffer to disk as one more run: sorted where the root cube is known already.
+    fn cell_surfels(&self) -> u64 {
+        self.plan.piece_surfels as u64 / 2
+    }
+
+    /// Moves all surfels in memory to disk.
     fn spill(&mut self) -> Result<(), SortError> {
-        let len = self.buffer.len() as u64;
-        if self.spill.is_none() {
+        if self.runs.is_none() {
             let file = TempFile::create(&self.options.temp_dir)?;
-            file.check_room(self.stated_count.unwrap_or(0))?;
-            self.spill = Some(Spill { file, runs: Vec::new() });
+            file.check_room(self.total.unwrap_or(0))?;
+            self.runs = Some(Runs::new(file));
         }
-        let spill = self.spill.as_mut().expect("just created");
-        let start = spill.runs.last().map_or(0, |run| run.end);
-        spill.file.check_room(len)?;
-        match &self.stated_bounds {
-            Some(bounds) => {
-                self.buffer.sort(&Self::root_of(bounds), &self.pool);
-                self.buffer.write_sorted(&spill.file, start, &self.pool)?;
-            }
-            None => self.buffer.write_unsorted(&spill.file, start)?,
+        if let Some(runs) = &mut self.runs {
+            runs.write(&self.trie, &self.buckets)?;
         }
-        spill.runs.push(start..start + len);
-        self.buffer.clear();
+        self.buckets.clear();
         Ok(())
     }
 
-    fn finish(mut self) -> Result<SortedSurfels, SortError> {
-        self.summary.root = Self::root_of(&self.stated_bounds.unwrap_or(self.summary.bounds));
-        if self.spill.is_none() {
-            self.buffer.sort(&self.summary.root, &self.pool);
-            let store = Store::Memory(self.buffer);
-            return Ok(SortedSurfels::new(self.summary, store, &self.options.temp_dir));
+    fn finish(mut self, summary: SurfelSummary) -> Result<SortedSurfels, SortError> {
+        if self.runs.is_some() {
+            self.spill()?;
         }
-        self.spill()?;
-        if self.stated_bounds.is_none() {
-            self.sort_runs()?;
-        }
-        // The merge buffers take the place of the run.
-        self.buffer = RunBuffer::new(0);
-        let mut spill = self.spill.take().expect("checked above");
-        while spill.runs.len() > self.plan.fan_in {
-            spill = self.merge_pass(spill)?;
-        }
-        let merger = Merger::new(&spill.file, &spill.runs, &self.plan, self.summary.root)?;
-        let Spill { file, runs } = spill;
-        let runs = Runs { file, runs, merger, record: None };
-        Ok(SortedSurfels::new(self.summary, Store::Runs(Box::new(runs)), &self.options.temp_dir))
-    }
-
-    /// Sorts each run in its place.
-    fn sort_runs(&mut self) -> Result<(), SortError> {
-        let Some(spill) = &self.spill else { return Ok(()) };
-        for run in &spill.runs {
-            self.buffer.read(&spill.file, run.start, (run.end - run.start) as usize)?;
-            self.buffer.sort(&self.summary.root, &self.pool);
-            self.buffer.write_sorted(&spill.file, run.start, &self.pool)?;
-            self.options.check(SortPhase::SortRuns, run.end, Some(self.summary.count))?;
-        }
-        Ok(())
-    }
-
-    /// Merges groups of neighboring runs into longer ones, in another file.
-    fn merge_pass(&self, spill: Spill) -> Result<Spill, SortError> {
-        let mut file = TempFile::create(&self.options.temp_dir)?;
-        file.check_room(self.summary.count)?;
-        let mut runs = Vec::new();
-        let (mut chunk, mut surfels) = (Vec::new(), Vec::new());
-        for group in spill.runs.chunks(self.plan.fan_in) {
-            let start = file.count();
-            let mut merger = Merger::new(&spill.file, group, &self.plan, self.summary.root)?;
-            let mut more = true;
-            while more {
-                chunk.clear();
-                more = merger.read(&spill.file, 4 * CHUNK, &mut chunk)?;
-                surfels.clear();
-                surfels.extend(chunk.iter().map(|(_, surfel)| *surfel));
-                file.append(&surfels)?;
-                self.options.check(SortPhase::Merge, file.count(), Some(self.summary.count))?;
+        let (content, run_count) = match self.runs {
+            // The memory of the lists goes to read buffers.
+            Some(runs) => {
+                let count = runs.run_count();
+                (Content::Disk(runs), count)
             }
-            runs.push(start..file.count());
-        }
-        Ok(Spill { file, runs })
+            None => (Content::Memory(self.buckets), 0),
+        };
+        let divided = DividedSurfels {
+            root: self.root,
+            trie: self.trie,
+            content,
+            cell_surfels: self.plan.piece_surfels / 2,
+            buffer_surfels: self.plan.read_buffer_surfels(run_count),
+        };
+        let walk = PieceWalk::new(&divided);
+        let store = Store::Divided(Box::new(divided), walk);
+        Ok(SortedSurfels::new(summary, self.plan, store, &self.options.temp_dir))
     }
 }
 
@@ -275,8 +258,13 @@ mod tests {
         all
     }
 
-    /// Small runs and few at a time, so that small clouds take every path.
-    const SMALL: Plan = Plan { run_surfels: 1000, fan_in: 3, merge_bytes: 20_000 };
+    /// Small runs, cells and buffers, so that small clouds take every path.
+    const SMALL: Plan =
+        Plan { held_surfels: 1024, piece_surfels: 256, early_cells: 500, read_bytes: 20_000 };
+
+    fn large() -> Plan {
+        Plan::new(64 << 20, 2).unwrap()
+    }
 
     #[test]
     fn every_path_gives_the_order_of_a_stable_sort() {
@@ -290,24 +278,44 @@ mod tests {
         for (number, cloud) in clouds.iter().enumerate() {
             let expected = oracle(cloud);
             for is_bounded in [false, true] {
-                for plan in [Plan::new(64 << 20).unwrap(), SMALL] {
+                for plan in [large(), SMALL] {
                     let mut source = source(cloud, is_bounded);
                     let mut sorted = sort_with_plan(&mut source, &options(0, 2), plan).unwrap();
                     assert_eq!(sorted.run_count() > 0, plan == SMALL);
-                    assert!(sorted.run_count() <= SMALL.fan_in);
                     assert!(read_all(&mut sorted) == expected, "{number} {is_bounded} {plan:?}");
                     sorted.rewind().unwrap();
                     assert!(read_all(&mut sorted) == expected, "{number}, read again");
+                    check_pieces(&mut sorted, 3 * plan.piece_surfels / 2);
                 }
             }
         }
+    }
+
+    /// Pieces are small, and tell truly of which codes they hold all.
+    fn check_pieces(sorted: &mut SortedSurfels, most: usize) {
+        sorted.rewind().unwrap();
+        let mut pieces = Vec::new();
+        while let Some(piece) = sorted.next_piece().unwrap() {
+            assert!(!piece.is_empty() && piece.len() <= most, "{} of {most}", piece.len());
+            pieces.push(piece.sort());
+        }
+        let mut whole_surfels = 0;
+        for piece in &pieces {
+            let is_whole = |code: &&MortonCode| piece.whole.contains(&code.0);
+            let all = pieces.iter().flat_map(|p| &p.codes).filter(is_whole).count();
+            assert_eq!(piece.codes.iter().filter(is_whole).count(), all);
+            whole_surfels += all;
+        }
+        let equal = pieces.windows(2).filter(|p| p[0].codes.last() == p[1].codes.first()).count();
+        let count = sorted.summary().count as usize;
+        assert!(equal > 0 || whole_surfels == count, "{whole_surfels} of {count}");
     }
 
     #[test]
     fn none_and_one_surfel_are_sorted() {
         for count in [0, 1] {
             let surfels = random_surfels(count);
-            for plan in [Plan::new(64 << 20).unwrap(), SMALL] {
+            for plan in [large(), SMALL] {
                 let mut sorted =
                     sort_with_plan(&mut source(&surfels, false), &options(0, 1), plan).unwrap();
                 assert_eq!(sorted.summary().count, count as u64);
@@ -321,12 +329,12 @@ mod tests {
     fn budgets_threads_and_chunks_change_nothing() {
         let surfels = random_surfels(600_000);
         let expected = oracle(&surfels);
-        for (budget, runs) in [(16, 4), (32, 2), (256, 0)] {
+        for (budget, runs) in [(16, 5), (32, 2), (256, 0)] {
             for (threads, chunk) in [(1, 4096), (2, 777)] {
                 let mut source = Source { chunk, ..source(&surfels, threads == 1) };
                 let mut sorted =
                     sort_surfels(&mut source, &options(budget << 20, threads)).unwrap();
-                assert_eq!(sorted.run_count(), runs);
+                assert_eq!(sorted.run_count(), runs, "{budget} MiB");
                 assert!(read_all(&mut sorted) == expected, "{budget} MiB, {threads} threads");
             }
         }
@@ -368,7 +376,7 @@ mod tests {
         let result = sort_with_plan(&mut source(&surfels, true), &options, SMALL);
         assert!(matches!(result.err(), Some(SortError::Temp { action: "create", .. })));
         // What fits the budget needs no folder.
-        assert!(sort_with_plan(&mut source(&surfels[..900], true), &options, SMALL).is_ok());
+        assert!(sort_with_plan(&mut source(&surfels[..100], true), &options, SMALL).is_ok());
     }
 
     #[test]

@@ -1,53 +1,59 @@
 //! The sorted stream.
 
-use crate::merge::Merger;
-use crate::run_buffer::RunBuffer;
+use crate::options::Plan;
+use crate::pieces::{Content, DividedSurfels, PieceWalk, SortedPiece, UnsortedPiece};
 use crate::temp_file::TempFile;
 use crate::{SortError, SurfelSummary};
 use pbgi_cloud::Surfel;
 use pbgi_math::MortonCode;
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// Surfels appended per chunk, at most.
-pub(crate) const CHUNK: usize = 4096;
+const CHUNK: usize = 4096;
 
-/// Surfels in the order of (Morton code, input index), as a stream that can be read again.
+/// Surfels in the order of (Morton code, input index), as a stream that can be read again: in pieces to be sorted elsewhere, or in
+/// sorted chunks.
 pub struct SortedSurfels {
     summary: SurfelSummary,
+    pub(crate) plan: Plan,
     pub(crate) store: Store,
     pub(crate) temp_dir: PathBuf,
-    /// Rank of the next surfel.
-    next: u64,
+    /// Piece being handed out by chunks, and how far.
+    piece: SortedPiece,
+    used: usize,
+    /// Where the order is written down as it is first read.
+    record: Option<TempFile>,
 }
 
 /// Where the surfels are.
 pub(crate) enum Store {
-    /// In memory.
-    Memory(RunBuffer),
-    /// On disk as sorted runs.
-    Runs(Box<Runs>),
+    /// Divided by place, each part yet to be sorted.
+    Divided(Box<DividedSurfels>, PieceWalk),
+    /// In memory in their final order.
+    Memory(Vec<Surfel>, SortedWalk),
     /// On disk in their final order.
-    File {
-        /// All of them.
-        file: TempFile,
-        /// Those being handed out.
-        chunk: Vec<Surfel>,
-    },
+    File(TempFile, SortedWalk),
 }
 
-/// Sorted runs and the state of merging them.
-pub(crate) struct Runs {
-    pub file: TempFile,
-    pub runs: Vec<Range<u64>>,
-    pub merger: Merger,
-    /// Where the order is written down as it is first read.
-    pub record: Option<TempFile>,
+/// How far a sorted list is handed out.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct SortedWalk {
+    next: u64,
+    /// One more than the code of the last surfel handed out.
+    codes_done: u64,
 }
 
 impl SortedSurfels {
-    pub(crate) fn new(summary: SurfelSummary, store: Store, temp_dir: &Path) -> Self {
-        Self { summary, store, temp_dir: temp_dir.to_owned(), next: 0 }
+    pub(crate) fn new(summary: SurfelSummary, plan: Plan, store: Store, temp_dir: &Path) -> Self {
+        Self {
+            summary,
+            plan,
+            store,
+            temp_dir: temp_dir.to_owned(),
+            piece: SortedPiece::default(),
+            used: 0,
+            record: None,
+        }
     }
 
     /// What the stream holds.
@@ -56,13 +62,56 @@ impl SortedSurfels {
         &self.summary
     }
 
-    /// Sorted runs on disk; 0 when the surfels are in memory or in one file.
+    /// Runs on disk; 0 when the surfels are in memory or in one sorted file.
     #[must_use]
     pub fn run_count(&self) -> usize {
         match &self.store {
-            Store::Runs(runs) => runs.runs.len(),
-            Store::Memory(_) | Store::File { .. } => 0,
+            Store::Divided(divided, _) => match &divided.content {
+                Content::Disk(runs) => runs.run_count(),
+                Content::Memory(_) => 0,
+            },
+            Store::Memory(..) | Store::File(..) => 0,
         }
+    }
+
+    /// The next piece, yet to be sorted; `None` at the end. Not to be mixed with [`Self::read_chunk`] before the next
+    /// [`Self::rewind`].
+    ///
+    /// # Errors
+    ///
+    /// If a temporary file cannot be read.
+    pub fn next_piece(&mut self) -> Result<Option<UnsortedPiece>, SortError> {
+        let count = self.summary.count;
+        let most = self.plan.piece_surfels as u64;
+        let walk = match &mut self.store {
+            Store::Divided(divided, walk) => return walk.next(divided),
+            Store::Memory(_, walk) | Store::File(_, walk) => walk,
+        };
+        let (start, end) = (walk.next, count.min(walk.next + most));
+        if start == end {
+            return Ok(None);
+        }
+        let codes_done = walk.codes_done;
+        walk.next = end;
+        // One more than the piece, whose code tells where the piece ends.
+        let ahead = count.min(end + 1);
+        let mut surfels = match &self.store {
+            Store::Memory(all, _) => all[start as usize..ahead as usize].to_vec(),
+            Store::File(file, _) => {
+                let mut surfels = vec![Surfel::default(); (ahead - start) as usize];
+                file.read_at(start, &mut surfels)?;
+                surfels
+            }
+            Store::Divided(..) => unreachable!("handled above"),
+        };
+        let root = self.summary.root;
+        let code = |surfel: Option<&Surfel>| surfel.map(|s| root.code(s.center()).0);
+        let next_code = if ahead > end { code(surfels.pop().as_ref()) } else { None };
+        if let Store::Memory(_, walk) | Store::File(_, walk) = &mut self.store {
+            walk.codes_done = code(surfels.last()).map_or(0, |last| last + 1);
+        }
+        let whole = codes_done..next_code.unwrap_or(u64::MAX).max(codes_done);
+        Ok(Some(UnsortedPiece { root, surfels, whole }))
     }
 
     /// Appends the next surfels with their codes to `out`, at most a few thousand; `false` when
@@ -72,61 +121,53 @@ impl SortedSurfels {
     ///
     /// If a temporary file cannot be read or written.
     pub fn read_chunk(&mut self, out: &mut Vec<(MortonCode, Surfel)>) -> Result<bool, SortError> {
-        let start = out.len();
-        let len = (self.summary.count - self.next).min(CHUNK as u64) as usize;
-        match &mut self.store {
-            Store::Memory(buffer) => {
-                let first = self.next as usize;
-                out.extend((first..first + len).map(|rank| buffer.sorted(rank)));
-            }
-            Store::Runs(runs) => {
-                runs.merger.read(&runs.file, len, out)?;
-                if let Some(record) = &mut runs.record {
-                    let surfels: Vec<Surfel> = out[start..].iter().map(|(_, s)| *s).collect();
-                    record.append(&surfels)?;
-                }
-            }
-            Store::File { file, chunk } => {
-                chunk.resize(len, Surfel::default());
-                file.read_at(self.next, chunk)?;
-                let root = &self.summary.root;
-                out.extend(chunk.iter().map(|s| (root.code(s.center()), *s)));
+        while self.used == self.piece.surfels.len() {
+            let Some(piece) = self.next_piece()? else { return Ok(false) };
+            (self.piece, self.used) = (piece.sort(), 0);
+            if let Some(record) = &mut self.record {
+                record.append(&self.piece.surfels)?;
             }
         }
-        self.next += (out.len() - start) as u64;
-        Ok(self.next < self.summary.count)
+        let end = self.piece.surfels.len().min(self.used + CHUNK);
+        let chunk = self.used..end;
+        out.extend(chunk.map(|i| (self.piece.codes[i], self.piece.surfels[i])));
+        self.used = end;
+        Ok(true)
     }
 
-    /// Starts again at the first surfel. Runs on disk are merged again, unless the stream is
-    /// replayable and was read to its end.
+    /// Starts again at the first surfel. A replayable stream on disk that was read to its end is from now on read in its final
+    /// order.
     ///
     /// # Errors
     ///
-    /// If a temporary file cannot be read or written.
+    /// If a temporary file cannot be created.
     pub fn rewind(&mut self) -> Result<(), SortError> {
-        self.next = 0;
-        let Store::Runs(runs) = &mut self.store else { return Ok(()) };
-        if let Some(record) = runs.record.take() {
+        (self.piece, self.used) = (SortedPiece::default(), 0);
+        if let Some(record) = self.record.take() {
             if record.count() == self.summary.count {
-                self.store = Store::File { file: record, chunk: Vec::new() };
-                return Ok(());
+                self.store = Store::File(record, SortedWalk::default());
+            } else {
+                self.record = Some(TempFile::create(&self.temp_dir)?);
             }
-            runs.record = Some(TempFile::create(&self.temp_dir)?);
         }
-        runs.merger.restart(&runs.file, &runs.runs)
+        match &mut self.store {
+            Store::Divided(divided, walk) => *walk = PieceWalk::new(divided),
+            Store::Memory(_, walk) | Store::File(_, walk) => *walk = SortedWalk::default(),
+        }
+        Ok(())
     }
 
-    /// Makes reading again cheap: runs on disk are written in their final order to one more
-    /// temporary file while they are first read. In memory this does nothing.
+    /// Makes reading chunks again cheap: runs on disk are written in their final order to one more
+    /// temporary file while they are first read by chunks. In memory this does nothing.
     ///
     /// # Errors
     ///
     /// If the file cannot be created, or the disk has no room for it.
     pub fn into_replayable(mut self) -> Result<Self, SortError> {
-        if let Store::Runs(runs) = &mut self.store {
+        if self.run_count() > 0 {
             let record = TempFile::create(&self.temp_dir)?;
             record.check_room(self.summary.count)?;
-            runs.record = Some(record);
+            self.record = Some(record);
             self.rewind()?;
         }
         Ok(self)

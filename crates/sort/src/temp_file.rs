@@ -1,7 +1,8 @@
 //! Temporary files without a name, counted in surfels.
 
 use crate::SortError;
-use pbgi_cloud::Surfel;
+use pbgi_cloud::{CloudError, Surfel, SurfelSource};
+use pbgi_math::DVec3;
 use std::fs::File;
 use std::io;
 use std::os::unix::fs::FileExt;
@@ -68,9 +69,11 @@ impl TempFile {
 
     /// Fills `out` with the surfels from the one at `index` on.
     pub fn read_at(&self, index: u64, out: &mut [Surfel]) -> Result<(), SortError> {
-        self.file
-            .read_exact_at(bytemuck::cast_slice_mut(out), index * SURFEL_BYTES)
-            .map_err(|source| self.error("read", source))
+        self.read_raw(index, out).map_err(|source| self.error("read", source))
+    }
+
+    fn read_raw(&self, index: u64, out: &mut [Surfel]) -> io::Result<()> {
+        self.file.read_exact_at(bytemuck::cast_slice_mut(out), index * SURFEL_BYTES)
     }
 
     fn free_bytes(&self) -> Option<u64> {
@@ -82,6 +85,44 @@ impl TempFile {
         SortError::Temp { dir: self.dir.clone(), action, source }
     }
 }
+
+/// Surfels of a temporary file as a source.
+pub(crate) struct SpooledSource {
+    file: TempFile,
+    origin: DVec3,
+    next: u64,
+}
+
+impl SpooledSource {
+    /// All surfels of `file`, around `origin`.
+    pub fn new(file: TempFile, origin: DVec3) -> Self {
+        Self { file, origin, next: 0 }
+    }
+}
+
+impl SurfelSource for SpooledSource {
+    fn origin(&self) -> DVec3 {
+        self.origin
+    }
+
+    fn count(&self) -> Option<u64> {
+        Some(self.file.count)
+    }
+
+    fn read_chunk(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
+        let start = out.len();
+        let now = (self.file.count - self.next).min(SPOOL_CHUNK);
+        out.resize(start + now as usize, Surfel::default());
+        self.file
+            .read_raw(self.next, &mut out[start..])
+            .map_err(|source| CloudError::io(&self.file.dir, "read a temporary file", source))?;
+        self.next += now;
+        Ok(self.next < self.file.count)
+    }
+}
+
+/// Surfels a [`SpooledSource`] reads at once.
+const SPOOL_CHUNK: u64 = 1 << 14;
 
 #[cfg(test)]
 mod tests {

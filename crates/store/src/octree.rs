@@ -195,7 +195,7 @@ impl Octree {
             stored
         };
         let checked = match entry.kind {
-            PageKind::Nodes => NodePage::new(&decoded).map(drop),
+            PageKind::Nodes => NodePage::new(&decoded, id).map(drop),
             PageKind::Surfels => SurfelPage::new(&decoded, self.layout().stored_bytes()).map(drop),
         };
         checked.map_err(invalid)?;

@@ -125,7 +125,7 @@ impl<'a> Walk<'a> {
             return Err(self.invalid(page, "link: page kind", "surfels", "nodes"));
         }
         let wrap = |source| reader.invalid_page(page, source);
-        let view = NodePage::new(bytes).map_err(wrap)?;
+        let view = NodePage::new(bytes, page).map_err(wrap)?;
         let wrap = |source| reader.invalid_page(page, source);
         let group = GroupView::new(bytes, view.groups_end(), visit.offset, header.channels)
             .map_err(wrap)?;
@@ -166,12 +166,9 @@ impl<'a> Walk<'a> {
                 ChildLink::Group(offset) => next_offset = offset,
                 ChildLink::External(link) => {
                     let Some(link) = view.external_link(link) else {
-                        return Err(self.invalid(page, "link: index", link, "an external link"));
+                        let expected = "a link to an earlier page";
+                        return Err(self.invalid(page, "link: index", link, expected));
                     };
-                    // Pages are written bottom-up, so links lead to earlier pages: no cycles.
-                    if link.page >= page {
-                        return Err(self.invalid(page, "link: page", link.page, "an earlier page"));
-                    }
                     (next_page, next_offset) = (link.page, link.offset);
                 }
             }

@@ -77,7 +77,7 @@ fn push_children(
 ) -> Result<(), StoreError> {
     let channels = reader.octree().header().channels;
     let pinned = reader.pin_page(page)?;
-    let view = NodePage::new(pinned.bytes()).map_err(|e| reader.invalid_page(page, e))?;
+    let view = NodePage::new(pinned.bytes(), page).map_err(|e| reader.invalid_page(page, e))?;
     let group = GroupView::new(pinned.bytes(), view.groups_end(), offset, channels)
         .map_err(|e| reader.invalid_page(page, e))?;
     let fields = group.fields();
