@@ -20,17 +20,20 @@ impl<'a> ConcatSource<'a> {
     pub fn new(sources: Vec<Box<dyn SurfelSource + 'a>>) -> Self {
         let origin = sources.first().map_or(DVec3::ZERO, |s| s.origin());
         let bounds = sources.iter().try_fold(Aabb::EMPTY, |all, source| {
-            let shift = source.origin() - origin;
-            let own = source.bounds()?;
-            if own.is_empty() {
-                return Some(all);
-            }
-            Some(all.union(Aabb { min: shifted(own.min, shift), max: shifted(own.max, shift) }))
+            Some(joined(all, source.bounds()?, source.origin() - origin))
         });
         let count =
             sources.iter().try_fold(0u64, |sum, s| s.count().and_then(|c| sum.checked_add(c)));
         Self { sources: sources.into(), origin, bounds, count, skipped: 0 }
     }
+}
+
+/// `all` and the bounds of one more source, whose origin is `shift` from that of all.
+fn joined(all: Aabb, own: Aabb, shift: DVec3) -> Aabb {
+    if own.is_empty() {
+        return all;
+    }
+    all.union(Aabb { min: shifted(own.min, shift), max: shifted(own.max, shift) })
 }
 
 /// A position seen from another origin. Monotonic, so shifted bounds hold shifted positions.
@@ -45,6 +48,18 @@ impl SurfelSource for ConcatSource<'_> {
 
     fn bounds(&self) -> Option<Aabb> {
         self.bounds
+    }
+
+    fn find_bounds(&mut self) -> Result<Option<Aabb>, CloudError> {
+        if self.bounds.is_none() {
+            let mut all = Aabb::EMPTY;
+            for source in &mut self.sources {
+                let Some(own) = source.find_bounds()? else { return Ok(None) };
+                all = joined(all, own, source.origin() - self.origin);
+            }
+            self.bounds = Some(all);
+        }
+        Ok(self.bounds)
     }
 
     fn count(&self) -> Option<u64> {

@@ -3,7 +3,7 @@
 use crate::raw::RAW_MAGIC;
 use crate::{CloudError, CloudOptions, LasPoints, PlyPoints, RawSource, SurfelSource};
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::Read;
 use std::path::Path;
 
 /// Opens a PLY, LAS, LAZ or raw surfel file, told apart by their first bytes; `-` is a raw surfel
@@ -25,9 +25,7 @@ pub fn open_cloud(
         .read_to_end(&mut start)
         .map_err(|e| CloudError::io(path, "read", e))?;
     if start == RAW_MAGIC {
-        let file = File::open(path).map_err(|e| CloudError::io(path, "open", e))?;
-        let reader = BufReader::with_capacity(1 << 18, file);
-        Ok(Box::new(RawSource::new(reader, path, options)?))
+        Ok(Box::new(RawSource::open(path, options)?))
     } else if start.starts_with(b"LASF") {
         Ok(Box::new(LasPoints::open(path, options)?))
     } else if start.starts_with(b"ply") {

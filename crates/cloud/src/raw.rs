@@ -27,12 +27,16 @@
 //! bits 24–31 the direction of the long edge of a rectangle with half the diagonal `radius` ([`pbgi_math::TileCode`]), or 0.
 //! That of version 1 is the normal alone, in two 16-bit numbers; such streams are read, not written.
 
-use crate::record::{Defect, Record};
+use crate::record::{Defect, MAGNITUDE_MAX, Record};
 use crate::source::CHUNK_SURFELS;
 use crate::{AtomicFile, CloudError, CloudOptions, Surfel, SurfelFlags, SurfelSource};
 use half::f16;
-use pbgi_math::{DVec3, Vec3, decode_octahedral, decode_octahedral24};
-use std::io::{Read, Seek, SeekFrom, Write};
+use pbgi_math::{Aabb, DVec3, Vec3, decode_octahedral, decode_octahedral24};
+use rayon::prelude::*;
+use std::fs::File;
+use std::io::{BufReader, Read, Seek, SeekFrom, Write};
+use std::ops::Range;
+use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
 /// First bytes of a raw surfel stream.
@@ -70,13 +74,103 @@ impl RawKind {
     }
 }
 
+/// How the records of a stream become surfels.
+struct Decoder {
+    kind: RawKind,
+    wide_normals: bool,
+    options: CloudOptions,
+}
+
+impl Decoder {
+    /// The surfel of a record.
+    #[inline]
+    fn surfel(&self, bytes: &[u8]) -> Result<Surfel, Defect> {
+        if !self.wide_normals {
+            if let Some(surfel) = self.plain_surfel(bytes) {
+                return Ok(surfel);
+            }
+        }
+        let normal = match self.wide_normals {
+            true => decode_octahedral(orientation_at(bytes)),
+            false => decode_octahedral24(orientation_at(bytes)),
+        };
+        let surfel = record_from_le_bytes(bytes, self.kind, normal, &self.options)
+            .and_then(|record| record.to_surfel(self.options.disk_overlap))?;
+        // The code itself, so that copying a stream changes no bit.
+        let kept = if self.wide_normals { surfel.orientation } else { orientation_at(bytes) };
+        Ok(Surfel { orientation: kept, ..surfel })
+    }
+
+    /// The surfel of a record that needs neither repair nor anything derived; `None` for all others.
+    #[inline]
+    fn plain_surfel(&self, bytes: &[u8]) -> Option<Surfel> {
+        let f32_at = |at: usize| f32::from_le_bytes(array_at(bytes, at));
+        let u16_at = |at: usize| u16::from_le_bytes(array_at(bytes, at));
+        let position = [f32_at(0), f32_at(4), f32_at(8)];
+        let (radius, area) = (f32_at(12), f32_at(16));
+        let flags = u16_at(self.kind.record_bytes() - 2);
+        let mut is_plain = position.iter().all(|p| p.abs() <= MAGNITUDE_MAX)
+            && (f32::MIN_POSITIVE..=MAGNITUDE_MAX).contains(&radius)
+            && (f32::MIN_POSITIVE..f32::INFINITY).contains(&area)
+            // An isotropic one is given a normal of its own.
+            && flags & !SurfelFlags::FRONT_ONLY.0 == 0;
+        let (radiance, albedo) = match self.kind {
+            RawKind::Compact => {
+                let halves = [24, 26, 28].map(u16_at);
+                is_plain &= halves.iter().all(|&h| h < f16::INFINITY.to_bits());
+                let albedo = self.options.default_albedo;
+                (halves.map(f32_of_positive_half), albedo.map(|a| f16::from_f32(a.clamp(0.0, 1.0))))
+            }
+            RawKind::Full => {
+                let (radiance, albedo) = ([24, 28, 32].map(f32_at), [36, 38, 40].map(u16_at));
+                is_plain &= radiance.iter().all(|l| (0.0..f32::INFINITY).contains(l))
+                    && albedo.iter().all(|&a| a <= f16::ONE.to_bits());
+                (radiance, albedo.map(f16::from_bits))
+            }
+        };
+        let orientation = orientation_at(bytes);
+        let flags = SurfelFlags(flags);
+        is_plain.then_some(Surfel { position, radius, area, orientation, radiance, albedo, flags })
+    }
+
+    /// Box of the valid centers of records `records` of a file; what is cut short is left for reading to find.
+    fn scan_bounds(&self, file: &File, records: Range<u64>) -> std::io::Result<Aabb> {
+        let size = self.kind.record_bytes();
+        let mut bytes = vec![0; SCAN_RECORDS.min((records.end - records.start) as usize) * size];
+        let mut bounds = Aabb::EMPTY;
+        let mut first = records.start;
+        while first < records.end {
+            let wanted = SCAN_RECORDS.min((records.end - first) as usize) * size;
+            let offset = HEADER_BYTES as u64 + first * size as u64;
+            let read = read_up_to_at(file, offset, &mut bytes[..wanted])?;
+            for record in bytes[..read].chunks_exact(size) {
+                if let Ok(surfel) = self.surfel(record) {
+                    bounds = bounds.with_point(surfel.center());
+                }
+            }
+            if read < wanted {
+                break;
+            }
+            first += SCAN_RECORDS as u64;
+        }
+        Ok(bounds)
+    }
+}
+
+/// The number a half-precision number stands for that is neither negative nor infinite. Exact: it is scaled by a power of two.
+#[inline]
+fn f32_of_positive_half(bits: u16) -> f32 {
+    const EXPONENTS_BETWEEN: f32 = f32::from_bits((127 + 112) << 23);
+    f32::from_bits(u32::from(bits) << 13) * EXPONENTS_BETWEEN
+}
+
 /// A raw surfel stream being read.
 pub struct RawSource<R> {
     reader: R,
+    /// The same file once more, where it is one that can be read twice.
+    file: Option<File>,
     path: PathBuf,
-    options: CloudOptions,
-    kind: RawKind,
-    wide_normals: bool,
+    decoder: Decoder,
     origin: DVec3,
     count: Option<u64>,
     next: u64,
@@ -124,10 +218,13 @@ impl<R: Read + Send> RawSource<R> {
         }
         Ok(Self {
             reader,
+            file: None,
             path: path.to_owned(),
-            options: options.clone(),
-            kind,
-            wide_normals: version == VERSION_WIDE_NORMALS,
+            decoder: Decoder {
+                kind,
+                wide_normals: version == VERSION_WIDE_NORMALS,
+                options: options.clone(),
+            },
             origin,
             count: (count != COUNT_UNKNOWN).then_some(count),
             next: 0,
@@ -154,8 +251,26 @@ impl<R: Read + Send> SurfelSource for RawSource<R> {
         self.origin
     }
 
+    fn find_bounds(&mut self) -> Result<Option<Aabb>, CloudError> {
+        let Self { file: Some(file), decoder, count, .. } = &*self else { return Ok(None) };
+        let io = |e| CloudError::io(&self.path, "read", e);
+        let length = file.metadata().map_err(io)?.len();
+        let held = length.saturating_sub(HEADER_BYTES as u64) / decoder.kind.record_bytes() as u64;
+        let records = count.unwrap_or(held).min(held);
+        let scan = |task: u64| {
+            let start = task * SCAN_TASK_RECORDS;
+            decoder.scan_bounds(file, start..records.min(start + SCAN_TASK_RECORDS))
+        };
+        (0..records.div_ceil(SCAN_TASK_RECORDS))
+            .into_par_iter()
+            .map(scan)
+            .try_reduce(|| Aabb::EMPTY, |a, b| Ok(a.union(b)))
+            .map(Some)
+            .map_err(io)
+    }
+
     fn count(&self) -> Option<u64> {
-        self.count.filter(|_| self.options.invalid == crate::InvalidPolicy::Refuse)
+        self.count.filter(|_| self.decoder.options.invalid == crate::InvalidPolicy::Refuse)
     }
 
     fn skipped(&self) -> u64 {
@@ -163,7 +278,7 @@ impl<R: Read + Send> SurfelSource for RawSource<R> {
     }
 
     fn read_chunk(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
-        let size = self.kind.record_bytes();
+        let size = self.decoder.kind.record_bytes();
         let left = self.count.map_or(u64::MAX, |count| count - self.next);
         let wanted = left.min(CHUNK_SURFELS as u64) as usize * size;
         let read = read_up_to(&mut self.reader, &mut self.bytes[..wanted])
@@ -179,21 +294,16 @@ impl<R: Read + Send> SurfelSource for RawSource<R> {
             ));
         }
         for bytes in self.bytes[..read].chunks_exact(size) {
-            let normal = match self.wide_normals {
-                true => decode_octahedral(orientation_at(bytes)),
-                false => decode_octahedral24(orientation_at(bytes)),
-            };
-            let surfel = record_from_le_bytes(bytes, self.kind, normal, &self.options)
-                .and_then(|record| record.to_surfel(self.options.disk_overlap));
-            match surfel {
-                // The code itself, so that copying a stream changes no bit.
-                Ok(surfel) if !self.wide_normals => {
-                    out.push(Surfel { orientation: orientation_at(bytes), ..surfel });
-                }
+            match self.decoder.surfel(bytes) {
                 Ok(surfel) => out.push(surfel),
                 Err(defect) => {
                     let place = || format!("record {}", self.next);
-                    defect.apply(self.options.invalid, &mut self.skipped, &self.path, place)?;
+                    defect.apply(
+                        self.decoder.options.invalid,
+                        &mut self.skipped,
+                        &self.path,
+                        place,
+                    )?;
                 }
             }
             self.next += 1;
@@ -205,6 +315,26 @@ impl<R: Read + Send> SurfelSource for RawSource<R> {
         Ok(more)
     }
 }
+
+impl RawSource<BufReader<File>> {
+    /// Opens a file.
+    ///
+    /// # Errors
+    ///
+    /// If it cannot be read or its header is not valid.
+    pub fn open(path: &Path, options: &CloudOptions) -> Result<Self, CloudError> {
+        let open = || File::open(path).map_err(|e| CloudError::io(path, "open", e));
+        let mut source = Self::new(BufReader::with_capacity(1 << 18, open()?), path, options)?;
+        source.file = Some(open()?).filter(|f| f.metadata().is_ok_and(|m| m.is_file()));
+        Ok(source)
+    }
+}
+
+/// Records read at once to find bounds.
+const SCAN_RECORDS: usize = 1 << 15;
+
+/// Records scanned by one task.
+const SCAN_TASK_RECORDS: u64 = 1 << 20;
 
 /// Writes a raw surfel stream to any writer, such as standard output.
 pub struct RawWriter<W> {
@@ -315,6 +445,20 @@ fn read_up_to(reader: &mut impl Read, buffer: &mut [u8]) -> std::io::Result<usiz
     let mut filled = 0;
     while filled < buffer.len() {
         match reader.read(&mut buffer[filled..]) {
+            Ok(0) => break,
+            Ok(n) => filled += n,
+            Err(e) if e.kind() == std::io::ErrorKind::Interrupted => {}
+            Err(e) => return Err(e),
+        }
+    }
+    Ok(filled)
+}
+
+/// Reads from `offset` until `buffer` is full or the file ends; returns the bytes read.
+fn read_up_to_at(file: &File, offset: u64, buffer: &mut [u8]) -> std::io::Result<usize> {
+    let mut filled = 0;
+    while filled < buffer.len() {
+        match file.read_at(&mut buffer[filled..], offset + filled as u64) {
             Ok(0) => break,
             Ok(n) => filled += n,
             Err(e) if e.kind() == std::io::ErrorKind::Interrupted => {}
@@ -462,7 +606,7 @@ mod tests {
         let path = folder.path().join("t.pbgisurf");
         let surfels = surfels(5000);
         write_raw_file(&path, RawKind::Full, &mut SliceSource::new(&surfels)).unwrap();
-        let file = std::fs::File::open(&path).unwrap();
+        let file = File::open(&path).unwrap();
         let source = RawSource::new(file, &path, &CloudOptions::default()).unwrap();
         assert_eq!(source.count(), Some(5000));
     }
@@ -490,6 +634,43 @@ mod tests {
         let mut longer = bytes;
         longer.push(0);
         assert!(read_all(&longer).unwrap_err().to_string().contains("data follows the 3"));
+    }
+
+    #[test]
+    fn halves_are_decoded_exactly() {
+        for bits in 0..f16::INFINITY.to_bits() {
+            assert_eq!(f32_of_positive_half(bits), f16::from_bits(bits).to_f32(), "{bits:x}");
+        }
+    }
+
+    #[test]
+    fn bounds_of_files_are_found_without_moving_on() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("cloud.surf");
+        let surfels: Vec<Surfel> = (0..1000)
+            .map(|i| Surfel::new(Vec3::new(i as f32, (i * 7 % 13) as f32, -1.0), Vec3::X, 1.0, 2.0))
+            .collect();
+        write_raw_file(&path, RawKind::Compact, &mut crate::SliceSource::new(&surfels)).unwrap();
+        let expected = Aabb::from_points(surfels.iter().map(Surfel::center));
+        // A record that is not valid counts only where it is not dropped.
+        let mut bytes = std::fs::read(&path).unwrap();
+        bytes[HEADER_BYTES..HEADER_BYTES + 4].copy_from_slice(&(-50f32).to_le_bytes());
+        bytes[HEADER_BYTES + 12..HEADER_BYTES + 16].copy_from_slice(&(-1f32).to_le_bytes());
+        let options =
+            CloudOptions { invalid: crate::InvalidPolicy::Skip, ..CloudOptions::default() };
+        for (damaged, start) in [(false, 0.0), (true, 1.0)] {
+            if damaged {
+                std::fs::write(&path, &bytes).unwrap();
+            }
+            let mut source = RawSource::open(&path, &options).unwrap();
+            let mut read = Vec::new();
+            let found = source.find_bounds().unwrap().unwrap();
+            assert_eq!((found.min.x, found.max), (start, expected.max));
+            while source.read_chunk(&mut read).unwrap() {}
+            assert_eq!(read.len() as f32, 1000.0 - start);
+        }
+        let mut piped = RawSource::new(bytes.as_slice(), &path, &options).unwrap();
+        assert_eq!(piped.find_bounds().unwrap(), None);
     }
 
     #[test]

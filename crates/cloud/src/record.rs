@@ -7,7 +7,7 @@ use std::f32::consts::PI;
 use std::path::Path;
 
 /// Largest magnitude of a coordinate or size: squares stay finite in f32.
-const MAGNITUDE_MAX: f32 = 1e18;
+pub(crate) const MAGNITUDE_MAX: f32 = 1e18;
 
 /// What to do with a record that holds no valid surfel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -5,7 +5,7 @@ use crate::bake_memory::BakeMemory;
 use crate::bake_report::{BakeReport, BytesPerSurfel, PhaseReport};
 use crate::bake_request::{BakeRequest, NormalsChoice};
 use crate::input::Inputs;
-use crate::memory::peak_resident_bytes;
+use crate::memory::{peak_resident_bytes, process_use};
 use crate::output_path::temporary_octree;
 use crate::progress::{Phase, Progress, format_bytes};
 use crate::relight::{EmissionPieces, Light, PassSettings, RelitStream, check_canceled};
@@ -336,6 +336,7 @@ impl<'a> Baker<'a> {
     fn finish(mut self, build: &BuildReport, start: Instant) -> BakeReport {
         let seconds = start.elapsed().as_secs_f64();
         let peak = peak_resident_bytes();
+        let used = process_use().unwrap_or_default();
         if let Some(peak) = peak.filter(|&peak| peak > self.request.memory_limit) {
             let (peak, limit) = (format_bytes(peak), format_bytes(self.request.memory_limit));
             self.report.warnings.push(format!(
@@ -354,6 +355,10 @@ impl<'a> Baker<'a> {
             bytes_per_surfel: BytesPerSurfel::new(build),
             seconds,
             surfels_per_second: build.surfels as f64 / seconds.max(1e-9),
+            user_seconds: used.user_seconds,
+            system_seconds: used.system_seconds,
+            read_bytes: used.read_bytes,
+            written_bytes: used.written_bytes,
             memory_peak_bytes: peak,
             ..self.report
         }

@@ -41,6 +41,14 @@ pub struct BakeReport {
     pub surfels_per_second: f64,
     /// Threads used.
     pub threads: usize,
+    /// Seconds of CPU time in the program's own code, all threads together.
+    pub user_seconds: f64,
+    /// Seconds of CPU time in the system's code.
+    pub system_seconds: f64,
+    /// Bytes read: input and temporary files, from disk or from the system's cache.
+    pub read_bytes: u64,
+    /// Bytes written: temporary files and output.
+    pub written_bytes: u64,
     /// The memory limit.
     pub memory_limit_bytes: u64,
     /// Most bytes the process held at once, where the system tells.

@@ -13,6 +13,41 @@ pub fn resident_bytes() -> Option<u64> {
     status_bytes("VmRSS:")
 }
 
+/// What this process has used so far; none where the system does not tell.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ProcessUse {
+    /// Seconds of all its threads in its own code.
+    pub user_seconds: f64,
+    /// Seconds of all its threads in the system's code.
+    pub system_seconds: f64,
+    /// Bytes it asked the system to read, from disk or not.
+    pub read_bytes: u64,
+    /// Bytes it asked the system to write.
+    pub written_bytes: u64,
+}
+
+/// What this process has used so far (`/proc/self/stat` and `/proc/self/io`).
+#[must_use]
+pub fn process_use() -> Option<ProcessUse> {
+    let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
+    let io = std::fs::read_to_string("/proc/self/io").ok()?;
+    let (user_seconds, system_seconds) = parse_times(&stat)?;
+    let bytes = |name: &str| io.lines().find_map(|l| l.strip_prefix(name))?.trim().parse().ok();
+    Some(ProcessUse {
+        user_seconds,
+        system_seconds,
+        read_bytes: bytes("rchar:")?,
+        written_bytes: bytes("wchar:")?,
+    })
+}
+
+/// User and system time in seconds: fields 14 and 15, in hundredths. The name, field 2, may hold anything.
+fn parse_times(stat: &str) -> Option<(f64, f64)> {
+    let mut fields = stat.rsplit_once(')')?.1.split_ascii_whitespace().skip(11);
+    let mut seconds = || fields.next()?.parse::<u64>().ok().map(|ticks| ticks as f64 / 100.0);
+    Some((seconds()?, seconds()?))
+}
+
 fn status_bytes(field: &str) -> Option<u64> {
     parse_status(&std::fs::read_to_string("/proc/self/status").ok()?, field)
 }
@@ -34,6 +69,14 @@ mod tests {
         assert_eq!(parse_status(status, "VmHWM:"), Some(12345 * 1024));
         assert_eq!(parse_status(status, "VmRSS:"), Some(7 * 1024));
         assert_eq!(parse_status(status, "VmSwap:"), None);
+    }
+
+    #[test]
+    fn times_follow_a_name_of_any_kind() {
+        let stat = "7 (a) b (c) R 1 2 3 4 5 6 7 8 9 10 123 456 0 0";
+        assert_eq!(parse_times(stat), Some((1.23, 4.56)));
+        assert_eq!(parse_times("7 (cut"), None);
+        assert!(process_use().is_none_or(|used| used.read_bytes > 0));
     }
 
     #[test]
