@@ -1,170 +1,9 @@
 //! Sums over the surfels of a node: its bounds and its directional form.
 
-use pbgi_cloud::Surfel;
-use pbgi_format::{LOBES_MAX, Lobe};
-use pbgi_math::{Aabb, DVec3, luminance, section_area};
-
-/// Surfels of similar normals and radiance, summed in f64. See [`Lobe`] for the function it stands for.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LobeSum {
-    /// `Σ aᵢ nᵢ`.
-    pub vector: DVec3,
-    /// `Σ aᵢ`; twice the area for isotropic surfels, which show half of it to *every* direction.
-    pub area: f64,
-    /// `Σ aᵢ xᵢ`, area counted as in `area`.
-    pub moment: DVec3,
-    /// `Σ aᵢ Lᵢ`, area counted as in `area`.
-    pub flux: [f64; 3],
-    /// Whether backs block.
-    pub blocks_back: bool,
-}
-
-impl LobeSum {
-    /// The lobe of one surfel.
-    #[must_use]
-    pub fn from_surfel(surfel: &Surfel) -> Self {
-        let isotropic = surfel.is_isotropic();
-        let area = f64::from(surfel.area) * if isotropic { 2.0 } else { 1.0 };
-        Self {
-            vector: if isotropic { DVec3::ZERO } else { surfel.normal().as_dvec3() * area },
-            area,
-            moment: surfel.center().as_dvec3() * area,
-            flux: surfel.radiance.map(|c| f64::from(c) * area),
-            blocks_back: !isotropic && !surfel.is_front_only(),
-        }
-    }
-
-    fn add(&mut self, other: &Self) {
-        self.vector += other.vector;
-        self.area += other.area;
-        self.moment += other.moment;
-        for (sum, part) in self.flux.iter_mut().zip(other.flux) {
-            *sum += part;
-        }
-    }
-
-    fn radiance(&self) -> [f32; 3] {
-        self.flux.map(|f| (f / self.area) as f32)
-    }
-
-    /// What is lost by summing two lobes, in units of area; infinite where they must stay apart.
-    ///
-    /// Parallel lobes of similar radiance sum without loss; else the loss is the part of the vector areas that cancels,
-    /// weighted up by the contrast of their radiance, plus a term for a flat lobe meeting a round one, and one
-    /// that keeps lamps apart from the walls they hang on: what shines must not be averaged with what it hides.
-    fn merge_cost(&self, other: &Self) -> f64 {
-        if self.blocks_back != other.blocks_back {
-            return f64::INFINITY;
-        }
-        let (v, w) = (self.vector.length(), other.vector.length());
-        let cancelled = v + w - (self.vector + other.vector).length();
-        let (l, m) = (luminance(self.radiance()), luminance(other.radiance()));
-        let contrast = if l + m > 0.0 { f64::from((l - m).abs() / (l + m)) } else { 0.0 };
-        let roundness = (v / self.area - w / other.area).abs() * self.area.min(other.area);
-        let glare = ((contrast - LAMP_CONTRAST) / (1.0 - LAMP_CONTRAST)).max(0.0);
-        cancelled * (1.0 + 2.0 * contrast)
-            + 0.25 * contrast * roundness
-            + glare * self.area.min(other.area)
-    }
-
-    /// The stored form, in a node whose stored box is `bounds`.
-    #[must_use]
-    pub fn to_lobe(self, bounds: &Aabb) -> Lobe {
-        let length = self.vector.length();
-        let (mut height, mut fill) = (0.0, 1.0);
-        if length > 0.0 {
-            let normal = self.vector / length;
-            let (low, high) = (bounds.min.as_dvec3(), bounds.max.as_dvec3());
-            let (center, half) = ((low + high) * 0.5, (high - low) * 0.5);
-            // A flat box has some thickness: normals scatter, and its corners are rounded.
-            let half = half.max(DVec3::splat(1e-3 * half.max_element()));
-            let reach = normal.abs().dot(half).max(f64::MIN_POSITIVE);
-            height = (normal.dot(self.moment / self.area - center) / reach).clamp(-1.0, 1.0);
-            let section = section_area(half, normal, height * reach);
-            fill = (length / section.max(f64::MIN_POSITIVE)).min(1.0);
-        }
-        Lobe {
-            vector: self.vector.as_vec3(),
-            width: solve_width(length, self.area) as f32,
-            blocks_back: self.blocks_back,
-            radiance: self.radiance(),
-            height: height as f32,
-            fill: fill as f32,
-        }
-    }
-}
-
-/// The width `h` with which a lobe of vector area `length` shows the mean area of its surfels.
-///
-/// The mean of `A` over the sphere is `½ ∫₀¹ √(length² c² + h²) dc` and must be `area/4`. The integral is
-/// `½ (√(l² + h²) + (h²/l) asinh(l/h))`; it rises with `h`, from `l/2` at 0, with the slope `(h/l) asinh(l/h)`, and is convex: Newton's
-/// steps from above the root stay above it. `½ √(area² − l²)` is above.
-fn solve_width(length: f64, area: f64) -> f64 {
-    let target = area / 2.0;
-    if length >= area * (1.0 - 1e-6) {
-        return 0.0;
-    }
-    if length <= area * 1e-6 {
-        return target;
-    }
-    let mut width = 0.5 * (area * area - length * length).sqrt();
-    for _ in 0..NEWTON_STEPS_MAX {
-        let slope = width / length * (length / width).asinh();
-        let mean = 0.5 * ((length * length + width * width).sqrt() + width * slope);
-        let step = (mean - target) / slope;
-        width -= step;
-        if step <= NEWTON_ACCURACY * area {
-            break;
-        }
-    }
-    width.max(0.0)
-}
-
-/// Most steps; four suffice.
-const NEWTON_STEPS_MAX: usize = 8;
-
-/// Step, as a share of the area, after which the width is accurate to the square of that.
-const NEWTON_ACCURACY: f64 = 1e-7;
-
-/// Contrast `(L − M)/(L + M)` above which one surface is a lamp beside the other: eight to one.
-const LAMP_CONTRAST: f64 = 7.0 / 9.0;
-
-/// Lobes that sum with less loss than this share of their node's area do so even where there is
-/// room for more.
-const MERGE_TOLERANCE: f64 = 0.01;
-
-/// Sums lobes until at most [`LOBES_MAX`] remain and no two of them are nearly alike. Greedy: the
-/// pair with the least loss first, ties to the lowest indices.
-fn reduce_lobes(lobes: &mut Vec<LobeSum>) {
-    let total: f64 = lobes.iter().map(|l| l.area).sum();
-    // Most lobes of a flat piece are parallel; they need no search.
-    let mut kept: Vec<LobeSum> = Vec::with_capacity(lobes.len());
-    for lobe in lobes.iter() {
-        let near = |k: &&mut LobeSum| k.merge_cost(lobe) <= 1e-4 * total;
-        match kept.iter_mut().find(near) {
-            Some(same) => same.add(lobe),
-            None => kept.push(*lobe),
-        }
-    }
-    while kept.len() > 1 {
-        let mut best = (f64::INFINITY, 0, 0);
-        for i in 0..kept.len() {
-            for j in i + 1..kept.len() {
-                let cost = kept[i].merge_cost(&kept[j]);
-                if cost < best.0 {
-                    best = (cost, i, j);
-                }
-            }
-        }
-        let (cost, i, j) = best;
-        if !cost.is_finite() || (kept.len() <= LOBES_MAX && cost > MERGE_TOLERANCE * total) {
-            break;
-        }
-        let other = kept.remove(j);
-        kept[i].add(&other);
-    }
-    *lobes = kept;
-}
+use crate::lobe_sum::LobeSum;
+use crate::reduce::{LobeReducer, LobeSums};
+use pbgi_cloud::{Surfel, SurfelFlags};
+use pbgi_math::{Aabb, Vec3, rectangle_half_edges};
 
 /// What a node knows of its surfels.
 #[derive(Clone, Debug, PartialEq)]
@@ -180,8 +19,8 @@ pub struct NodeAggregate {
     pub area: f64,
     /// `Σ aᵢ Lᵢ`, each area counted once.
     pub flux: [f64; 3],
-    /// Directional form, 1 to [`LOBES_MAX`] lobes.
-    pub lobes: Vec<LobeSum>,
+    /// Directional form, at least one lobe.
+    pub lobes: LobeSums,
 }
 
 impl NodeAggregate {
@@ -192,22 +31,40 @@ impl NodeAggregate {
     /// If there are none.
     #[must_use]
     pub fn from_surfels(surfels: &[Surfel]) -> Self {
+        Self::from_surfels_with(&mut LobeReducer::default(), surfels)
+    }
+
+    pub(crate) fn from_surfels_with(reducer: &mut LobeReducer, surfels: &[Surfel]) -> Self {
         assert!(!surfels.is_empty(), "a node holds at least one surfel");
-        let mut bounds = Aabb::EMPTY;
-        let mut cover_margin = 0f32;
-        let (mut area, mut flux) = (0.0, [0.0; 3]);
+        let mut node = Self::empty();
+        node.surfel_count = surfels.len() as u64;
+        let lobe_total: f64 = surfels
+            .iter()
+            .map(|s| f64::from(s.area) * if s.is_isotropic() { 2.0 } else { 1.0 })
+            .sum();
+        reducer.clear();
+        let mut shape = Shape::of(&surfels[0]);
+        let mut place: Option<(usize, &Surfel)> = None;
         for surfel in surfels {
-            area += f64::from(surfel.area);
-            for (sum, l) in flux.iter_mut().zip(surfel.radiance) {
-                *sum += f64::from(surfel.area) * f64::from(l);
+            if (surfel.orientation, surfel.flags) != shape.key {
+                shape = Shape::of(surfel);
             }
-            let (own, inner) = area_true_box(surfel);
-            bounds = bounds.union(own);
-            cover_margin = cover_margin.max(surfel.radius - inner);
+            let (own, inner) = shape.area_true_box(surfel);
+            node.bounds = node.bounds.union(own);
+            node.cover_margin = node.cover_margin.max(surfel.radius - inner);
+            let area = f64::from(surfel.area);
+            node.area += area;
+            for (sum, l) in node.flux.iter_mut().zip(surfel.radiance) {
+                *sum += area * f64::from(l);
+            }
+            let lobe = LobeSum::from_surfel(surfel, shape.normal);
+            match place {
+                Some((place, before)) if is_alike(before, surfel) => reducer.add_to(place, &lobe),
+                _ => place = Some((reducer.add(&lobe, lobe_total), surfel)),
+            }
         }
-        let mut lobes = surfels.iter().map(LobeSum::from_surfel).collect();
-        reduce_lobes(&mut lobes);
-        Self { bounds, cover_margin, surfel_count: surfels.len() as u64, area, flux, lobes }
+        node.lobes = reducer.reduce(lobe_total);
+        node
     }
 
     /// Aggregate of an inner node.
@@ -216,15 +73,21 @@ impl NodeAggregate {
     ///
     /// If there are no children.
     #[must_use]
-    pub fn from_children<'a>(children: impl Iterator<Item = &'a Self>) -> Self {
-        let mut sum = Self {
-            bounds: Aabb::EMPTY,
-            cover_margin: 0.0,
-            surfel_count: 0,
-            area: 0.0,
-            flux: [0.0; 3],
-            lobes: Vec::with_capacity(16),
-        };
+    pub fn from_children<'a>(children: impl Iterator<Item = &'a Self> + Clone) -> Self {
+        Self::from_children_with(&mut LobeReducer::default(), children)
+    }
+
+    pub(crate) fn from_children_with<'a>(
+        reducer: &mut LobeReducer,
+        children: impl Iterator<Item = &'a Self> + Clone,
+    ) -> Self {
+        let mut sum = Self::empty();
+        let lobes = || children.clone().flat_map(|child| child.lobes.iter());
+        let lobe_total = lobes().map(|l| l.area).sum();
+        reducer.clear();
+        for lobe in lobes() {
+            reducer.add(lobe, lobe_total);
+        }
         for child in children {
             sum.bounds = sum.bounds.union(child.bounds);
             sum.cover_margin = sum.cover_margin.max(child.cover_margin);
@@ -233,43 +96,70 @@ impl NodeAggregate {
             for (sum, part) in sum.flux.iter_mut().zip(child.flux) {
                 *sum += part;
             }
-            sum.lobes.extend_from_slice(&child.lobes);
         }
         assert!(sum.surfel_count > 0, "an inner node has children");
-        reduce_lobes(&mut sum.lobes);
+        sum.lobes = reducer.reduce(lobe_total);
         sum
+    }
+
+    fn empty() -> Self {
+        Self {
+            bounds: Aabb::EMPTY,
+            cover_margin: 0.0,
+            surfel_count: 0,
+            area: 0.0,
+            flux: [0.0; 3],
+            lobes: LobeSums::default(),
+        }
     }
 }
 
-/// Half the edge of the square whose area is the surfel's: `√a / 2`; of half the area for an isotropic one,
-/// which shows that much to every direction.
-///
-/// Boxes are made of squares, not disks, since squares tile: the box of a piece of axis-aligned wall
-/// has exactly that piece's area, so its footprint is opaque and meets its neighbors'.
-fn area_true_half_edge(surfel: &Surfel) -> f32 {
-    let shown = if surfel.is_isotropic() { 0.5 * surfel.area } else { surfel.area };
-    0.5 * shown.sqrt()
+/// Whether the lobes of two surfels differ in area and place only.
+fn is_alike(a: &Surfel, b: &Surfel) -> bool {
+    (a.orientation, a.flags) == (b.orientation, b.flags) && a.radiance == b.radiance
 }
 
-/// Box of a surfel's rectangle, or where that is not known, of its area-true square; and how far from the center the nearest
-/// edge is.
-fn area_true_box(surfel: &Surfel) -> (Aabb, f32) {
-    let (center, half_edge) = (surfel.center(), area_true_half_edge(surfel));
-    if surfel.is_isotropic() {
-        (Aabb { min: center, max: center }.inflated(half_edge), half_edge)
-    } else if let Some([long, short]) = surfel.half_edges() {
-        let reach = long.abs() + short.abs();
-        (Aabb { min: center - reach, max: center + reach }, short.length())
-    } else {
-        (Aabb::from_disk(center, surfel.normal(), half_edge), half_edge)
+/// What follows from a surfel's orientation, which neighbors often share.
+struct Shape {
+    key: (u32, SurfelFlags),
+    normal: Vec3,
+    /// Unit vectors along the edges of the rectangle, if one is known, by axis without their signs.
+    edges: Option<[Vec3; 2]>,
+}
+
+impl Shape {
+    fn of(surfel: &Surfel) -> Self {
+        let (normal, tile) = (surfel.normal(), surfel.tile());
+        let edges = tile.is_known().then(|| tile.edges(normal).map(Vec3::abs));
+        Self { key: (surfel.orientation, surfel.flags), normal, edges }
+    }
+
+    /// Box of a surfel's rectangle, or where that is not known, of its area-true square; and how far from the center the nearest
+    /// edge is.
+    ///
+    /// Boxes are made of squares, not disks, since squares tile: the box of a piece of axis-aligned wall
+    /// has exactly that piece's area, so its footprint is opaque and meets its neighbors'. An isotropic surfel shows half its area to every
+    /// direction.
+    fn area_true_box(&self, surfel: &Surfel) -> (Aabb, f32) {
+        let center = surfel.center();
+        if surfel.is_isotropic() {
+            let half_edge = 0.5 * (0.5 * surfel.area).sqrt();
+            (Aabb { min: center, max: center }.inflated(half_edge), half_edge)
+        } else if let Some([along, across]) = self.edges {
+            let [long, short] = rectangle_half_edges(surfel.radius, surfel.area);
+            let reach = along * long + across * short;
+            (Aabb { min: center - reach, max: center + reach }, short)
+        } else {
+            let half_edge = 0.5 * surfel.area.sqrt();
+            (Aabb::from_disk(center, self.normal, half_edge), half_edge)
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pbgi_cloud::SurfelFlags;
-    use pbgi_math::Vec3;
+    use pbgi_math::DVec3;
 
     fn directions(count: u32) -> impl Iterator<Item = Vec3> {
         (0..count).map(move |i| {
@@ -298,23 +188,6 @@ mod tests {
                 (shown - exact_areas(surfels, d).0).abs() / total
             })
             .fold(0.0, f32::max)
-    }
-
-    #[test]
-    fn widths_show_the_mean_area() {
-        let ratios = (1..1000).map(|i| f64::from(i) / 1000.0);
-        for ratio in ratios.chain([1e-9, 1e-5, 0.9999, 0.999_99, 0.999_998]) {
-            let (area, length) = (3.0, 3.0 * ratio);
-            let h = solve_width(length, area);
-            // The mean over the sphere, by the midpoint rule.
-            let steps = 4000;
-            let shown = |i: u32| {
-                let along = length * (f64::from(i) + 0.5) / f64::from(steps);
-                (along * along + h * h).sqrt()
-            };
-            let mean = 0.5 * (0..steps).map(shown).sum::<f64>() / f64::from(steps);
-            assert!((mean / (area / 4.0) - 1.0).abs() < 1e-7, "{ratio}: {h}, {mean}");
-        }
     }
 
     #[test]

@@ -91,7 +91,7 @@ fn build_subtree(
 ) -> Result<Subtree, BuildError> {
     let (codes, surfels) = (&piece.codes[range.clone()], &piece.surfels[range]);
     let sink = PageBatch::new(0, settings.compress);
-    let mut tree = TreeBuilder { settings: *settings, sink, counts: Counts::default() };
+    let mut tree = TreeBuilder::new(*settings, sink);
     let node = tree.build(codes, surfels)?;
     let node = match node.content {
         PendingContent::Group(group) => {

@@ -7,17 +7,21 @@
 mod aggregate;
 mod error;
 mod items;
+mod lobe_sum;
 mod octree;
 mod pack;
 mod pages;
 mod pieces;
+mod reduce;
 mod stitch;
 mod tree;
 mod writer;
 
-pub use aggregate::{LobeSum, NodeAggregate};
+pub use aggregate::NodeAggregate;
 pub use error::BuildError;
+pub use lobe_sum::LobeSum;
 pub use octree::{build_octree, build_octree_from_pieces};
+pub use reduce::LobeSums;
 
 use pbgi_cloud::Surfel;
 use pbgi_math::{DVec3, MortonCode, RootCube};

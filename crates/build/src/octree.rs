@@ -5,7 +5,7 @@ use crate::pack::{PendingContent, PendingNode};
 use crate::pages::PageSink;
 use crate::pieces::{StreamPieces, with_items};
 use crate::stitch::Stitcher;
-use crate::tree::{Counts, TreeBuilder, TreeSettings};
+use crate::tree::{TreeBuilder, TreeSettings};
 use crate::writer::FileWriter;
 use crate::{BuildOptions, BuildReport, ChannelChoice, PieceSource, SortedStream, StreamSummary};
 use pbgi_format::{Channels, Header, HeaderFlags, MiniFloat, PageId, SurfelLayout};
@@ -63,7 +63,7 @@ pub fn build_octree_from_pieces(
         compress: options.compress,
     };
     let sink = FileWriter::create(target, options.compress)?;
-    let tree = TreeBuilder { settings, sink, counts: Counts::default() };
+    let tree = TreeBuilder::new(settings, sink);
     let ((node, tree), surfels) = with_items(pieces, &settings, options, |next_items| {
         let mut stitcher = Stitcher::new(tree, next_items);
         Ok((stitcher.build()?, stitcher.tree))

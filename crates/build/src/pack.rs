@@ -1,6 +1,7 @@
 //! From closed nodes to pages: treelets grow bottom-up until they fill a page.
 
 use crate::aggregate::NodeAggregate;
+use crate::reduce::LobeReducer;
 use pbgi_cloud::Surfel;
 use pbgi_format::{
     ChildBox, ChildLink, ExternalLink, GroupFields, LeafSurfel, Lobe, NODE_PAGE_HEADER_BYTES,
@@ -22,8 +23,8 @@ pub(crate) enum PendingContent<'s> {
 
 impl<'s> PendingNode<'s> {
     /// A leaf of at least one surfel.
-    pub fn leaf(surfels: Cow<'s, [Surfel]>) -> Self {
-        let aggregate = NodeAggregate::from_surfels(&surfels);
+    pub fn leaf(reducer: &mut LobeReducer, surfels: Cow<'s, [Surfel]>) -> Self {
+        let aggregate = NodeAggregate::from_surfels_with(reducer, &surfels);
         Self { aggregate, content: PendingContent::Leaf(surfels) }
     }
 

@@ -7,6 +7,7 @@
 use crate::error::BuildError;
 use crate::items::{Item, Subtree};
 use crate::pack::PendingNode;
+use crate::reduce::LobeReducer;
 use crate::tree::TreeBuilder;
 use crate::writer::FileWriter;
 use pbgi_format::CHILDREN_MAX;
@@ -95,15 +96,15 @@ impl<'a> Stitcher<'a> {
     fn build_list(&mut self, code: u64) -> Result<PendingNode<'static>, BuildError> {
         let split = self.tree.settings.root.cell_box(code, MORTON_AXIS_BITS).center();
         let Self { tree, ahead } = self;
-        tree.build_list(split, &mut || match ahead.peek()? {
-            Some(leaf) if leaf.code.0 == code => Ok(ahead.take_leaf()),
+        tree.build_list(split, &mut |reducer| match ahead.peek()? {
+            Some(leaf) if leaf.code.0 == code => Ok(ahead.take_leaf(reducer)),
             _ => Ok(None),
         })
     }
 
     /// The next leaf or subtree, whose pages go to the file.
     fn take(&mut self) -> Result<Option<PendingNode<'static>>, BuildError> {
-        if let Some(leaf) = self.ahead.take_leaf() {
+        if let Some(leaf) = self.ahead.take_leaf(self.tree.reducer()) {
             return Ok(Some(leaf));
         }
         let Some(subtree) = self.ahead.take_subtree() else { return Ok(None) };
@@ -183,7 +184,7 @@ impl Ahead<'_> {
     }
 
     /// Takes what [`Ahead::peek`] found, if that is a leaf.
-    fn take_leaf(&mut self) -> Option<PendingNode<'static>> {
+    fn take_leaf(&mut self, reducer: &mut LobeReducer) -> Option<PendingNode<'static>> {
         let Some(Closed { content: ClosedContent::Leaf(count), .. }) = self.next else {
             return None;
         };
@@ -195,6 +196,6 @@ impl Ahead<'_> {
                 surfels.push(surfel);
             }
         }
-        Some(PendingNode::leaf(Cow::Owned(surfels)))
+        Some(PendingNode::leaf(reducer, Cow::Owned(surfels)))
     }
 }

@@ -7,6 +7,7 @@ use crate::aggregate::NodeAggregate;
 use crate::error::BuildError;
 use crate::pack::{Group, PendingContent, PendingNode};
 use crate::pages::PageSink;
+use crate::reduce::LobeReducer;
 use pbgi_cloud::Surfel;
 use pbgi_format::{CHILDREN_MAX, SurfelLayout};
 use pbgi_math::{MORTON_AXIS_BITS, MortonCode, RootCube, Vec3};
@@ -45,9 +46,23 @@ pub(crate) struct TreeBuilder<S> {
     pub settings: TreeSettings,
     pub sink: S,
     pub counts: Counts,
+    reducer: LobeReducer,
 }
 
+/// Gives the next leaf of a list.
+pub(crate) type NextLeaf<'f, 's> =
+    dyn FnMut(&mut LobeReducer) -> Result<Option<PendingNode<'s>>, BuildError> + 'f;
+
 impl<S: PageSink> TreeBuilder<S> {
+    pub fn new(settings: TreeSettings, sink: S) -> Self {
+        Self { settings, sink, counts: Counts::default(), reducer: LobeReducer::default() }
+    }
+
+    /// Memory to reduce lobes in.
+    pub fn reducer(&mut self) -> &mut LobeReducer {
+        &mut self.reducer
+    }
+
     /// The node of sorted surfels, at least one, that are all there are of some cell.
     pub fn build<'s>(
         &mut self,
@@ -55,7 +70,7 @@ impl<S: PageSink> TreeBuilder<S> {
         surfels: &'s [Surfel],
     ) -> Result<PendingNode<'s>, BuildError> {
         if surfels.len() <= self.settings.leaf_surfels_max {
-            return Ok(PendingNode::leaf(Cow::Borrowed(surfels)));
+            return Ok(PendingNode::leaf(&mut self.reducer, Cow::Borrowed(surfels)));
         }
         // The smallest cell that holds them all: cells around it have one occupied octant.
         let (first, last) = (codes[0], codes[codes.len() - 1]);
@@ -63,7 +78,10 @@ impl<S: PageSink> TreeBuilder<S> {
         let split = self.settings.root.cell_box(first.cell_at(level), level).center();
         if level == MORTON_AXIS_BITS {
             let mut leaves = surfels.chunks(self.settings.leaf_surfels_max);
-            let mut next = || Ok(leaves.next().map(|leaf| PendingNode::leaf(Cow::Borrowed(leaf))));
+            let mut next = |reducer: &mut LobeReducer| {
+                let leaf = leaves.next();
+                Ok(leaf.map(|surfels| PendingNode::leaf(reducer, Cow::Borrowed(surfels))))
+            };
             return self.build_list(split, &mut next);
         }
         let mut children = Vec::with_capacity(CHILDREN_MAX);
@@ -81,11 +99,11 @@ impl<S: PageSink> TreeBuilder<S> {
     pub fn build_list<'s>(
         &mut self,
         split: Vec3,
-        next_leaf: &mut dyn FnMut() -> Result<Option<PendingNode<'s>>, BuildError>,
+        next_leaf: &mut NextLeaf<'_, 's>,
     ) -> Result<PendingNode<'s>, BuildError> {
         // levels[k] holds up to eight finished subtrees of height k.
         let mut levels: Vec<Vec<PendingNode<'s>>> = Vec::new();
-        while let Some(mut node) = next_leaf()? {
+        while let Some(mut node) = next_leaf(&mut self.reducer)? {
             for height in 0.. {
                 if levels.len() == height {
                     levels.push(Vec::new());
@@ -132,9 +150,10 @@ impl<S: PageSink> TreeBuilder<S> {
         split: Vec3,
         children: Vec<(u32, PendingNode<'s>)>,
     ) -> Result<PendingNode<'s>, BuildError> {
-        let Self { settings, sink, counts } = self;
+        let Self { settings, sink, counts, reducer } = self;
         let layout = &settings.layout;
-        let aggregate = NodeAggregate::from_children(children.iter().map(|(_, c)| &c.aggregate));
+        let parts = children.iter().map(|(_, child)| &child.aggregate);
+        let aggregate = NodeAggregate::from_children_with(reducer, parts);
         let mut group = Group::new(split, &aggregate, children, layout);
         let (leaves, nodes) = group.counts();
         let (hot_bytes, lobe_bytes) = group.own_bytes(layout);

@@ -13,7 +13,7 @@ pub const BUDGET_BYTES_MIN: u64 = 8 << 20;
 /// Bytes a surfel of a piece takes until it is built: itself twice, its code and rank, what is built of it.
 const PIECE_SURFEL_BYTES: u64 = 160;
 /// Surfels of a piece: larger ones leave the processor's caches.
-const PIECE_SURFELS_MAX: u64 = 1 << 17;
+const PIECE_SURFELS_MAX: u64 = 1 << 15;
 /// Smaller pieces would be all seams; only budgets of less than half a megabyte for each thread have so small ones.
 const PIECE_SURFELS_MIN: u64 = 64;
 /// Bytes of memory for each cell that may be divided early: most cells hold surfels, and waste half a block.
