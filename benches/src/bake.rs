@@ -29,6 +29,9 @@ struct Args {
     /// Bake the scene itself, not a stream of its surfels
     #[arg(long)]
     direct: bool,
+    /// Keep the last stream as this file
+    #[arg(long)]
+    keep: Option<PathBuf>,
     /// Folder for the stream, the octree and temporary files
     #[arg(long, default_value = ".")]
     folder: PathBuf,
@@ -61,8 +64,10 @@ fn main() -> Result<()> {
         for limit in &args.memory_limit {
             bake(&program, input, limit, folder.path(), &args.options)?;
         }
-        if !args.direct {
-            std::fs::remove_file(&stream)?;
+        match &args.keep {
+            Some(kept) if !args.direct => std::fs::rename(&stream, kept)?,
+            _ if !args.direct => std::fs::remove_file(&stream)?,
+            _ => {}
         }
     }
     Ok(())

@@ -85,10 +85,10 @@ impl Decoder {
     /// The surfel of a record.
     #[inline]
     fn surfel(&self, bytes: &[u8]) -> Result<Surfel, Defect> {
-        if !self.wide_normals {
-            if let Some(surfel) = self.plain_surfel(bytes) {
-                return Ok(surfel);
-            }
+        if !self.wide_normals
+            && let Some(surfel) = self.plain_surfel(bytes)
+        {
+            return Ok(surfel);
         }
         let normal = match self.wide_normals {
             true => decode_octahedral(orientation_at(bytes)),

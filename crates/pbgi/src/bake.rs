@@ -176,9 +176,9 @@ impl<'a> Baker<'a> {
                 false => ChannelChoice::AsNeeded,
             };
             let options = BuildOptions { channels, ..self.output_options() };
+            sorted.release_as_read();
             return self.build_emission(&mut sorted, &options, &request.output);
         }
-        let mut sorted = sorted.into_replayable()?;
         let temporary = temporary_octree(&request.temp_dir(), &request.output);
         // What the environment's pass needs is only what blocks.
         let has_environment = self.light.has_environment();
@@ -190,7 +190,7 @@ impl<'a> Baker<'a> {
         let mut pass = 1;
         loop {
             let (octree, threads) = self.open_temporary(&temporary)?;
-            sorted.rewind()?;
+            sorted.rewind();
             let is_last = pass == passes;
             let (options, target) = if is_last {
                 (self.output_options(), request.output.as_path())

@@ -4,7 +4,7 @@ use crate::eigen::Symmetric3;
 use crate::neighbors::{Nearest, NeighborSearch};
 use crate::options::{SortOptions, SortPhase};
 use crate::sorted::{SortedSurfels, SortedWalk, Store};
-use crate::temp_file::TempFile;
+use crate::temp_file::{SURFEL_BYTES, TempFile};
 use crate::{SortError, SurfelSummary};
 use pbgi_cloud::{Surfel, SurfelFlags};
 use pbgi_math::{DVec3, MORTON_AXIS_BITS, RootCube, Vec3, encode_octahedral24};
@@ -86,10 +86,10 @@ pub fn estimate_surfels(
 ) -> Result<(SortedSurfels, EstimateReport), SortError> {
     let before = *sorted.summary();
     let mut report = EstimateReport::default();
-    sorted.rewind()?;
     if !(before.any_missing_size || (options.normals && before.any_isotropic)) {
         return Ok((sorted, report));
     }
+    sorted.release_as_read();
     let pool = sort_options.thread_pool()?;
     let mut window = Window::default();
     let mut summary = SurfelSummary { root: before.root, ..SurfelSummary::new(before.origin) };
@@ -99,7 +99,7 @@ pub fn estimate_surfels(
     let mut file = None;
     if !is_held {
         let created = TempFile::create(&sorted.temp_dir)?;
-        created.check_room(before.count)?;
+        created.check_room(before.count.saturating_mul(SURFEL_BYTES))?;
         file = Some(created);
     }
     let mut surfels = Vec::with_capacity(BATCH);
@@ -114,7 +114,7 @@ pub fn estimate_surfels(
             surfels.push(surfel);
         }
         match &mut file {
-            Some(file) => file.append(&surfels)?,
+            Some(file) => file.append(bytemuck::cast_slice(&surfels))?,
             None => held.extend_from_slice(&surfels),
         }
         sort_options.check(SortPhase::Estimate, summary.count, Some(before.count))?;

@@ -13,6 +13,7 @@ mod buckets;
 mod eigen;
 mod error;
 mod estimate;
+mod form;
 mod neighbors;
 mod options;
 mod pieces;

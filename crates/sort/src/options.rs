@@ -2,7 +2,6 @@
 
 use crate::SortError;
 use crate::buckets::SURFEL_BYTES;
-use pbgi_cloud::Surfel;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -28,8 +27,8 @@ pub struct SortOptions<'a> {
     /// [`BUDGET_BYTES_MIN`]. Of the budget *B*, 5 MiB and *B*/32 are set aside, and up to *B*/4 for pieces; the rest
     /// takes surfels at 44 bytes each, and what fits there never touches the disk. What the source holds is its own.
     pub budget_bytes: u64,
-    /// Folder for temporary files. They have no name there, so that nothing stays behind, and take
-    /// 44 bytes per surfel, twice that where the source does not know its bounds.
+    /// Folder for temporary files. They have no name there, so that nothing stays behind, and take at most
+    /// 44 bytes per surfel: less where light, albedo or flags are all the same, twice that where the source does not know its bounds.
     pub temp_dir: PathBuf,
     /// Threads to sort with; 0 for one per core.
     pub threads: usize,
@@ -143,10 +142,9 @@ impl Plan {
         })
     }
 
-    /// Surfels of the read buffer of each run.
-    pub fn read_buffer_surfels(&self, runs: usize) -> usize {
-        let bytes = (self.read_bytes / runs.max(1) as u64).min(READ_BUFFER_BYTES_MAX);
-        (bytes as usize / size_of::<Surfel>()).max(1)
+    /// Bytes of the read buffer of each run.
+    pub fn read_buffer_bytes(&self, runs: usize) -> usize {
+        (self.read_bytes / runs.max(1) as u64).min(READ_BUFFER_BYTES_MAX) as usize
     }
 }
 
@@ -173,7 +171,7 @@ mod tests {
                 // A node of the trie and its list take 24 bytes.
                 assert!(plan.early_cells as u64 * 24 <= budget / 32);
                 for runs in [2, 7] {
-                    let buffers = plan.read_buffer_surfels(runs) as u64 * 44 * runs as u64;
+                    let buffers = plan.read_buffer_bytes(runs) as u64 * runs as u64;
                     assert!(buffers <= plan.read_bytes);
                 }
             }

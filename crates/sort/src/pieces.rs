@@ -92,8 +92,10 @@ pub(crate) struct DividedSurfels {
     pub content: Content,
     /// Most surfels of a cell that can be divided; pieces have at most twice as many.
     pub cell_surfels: usize,
-    /// Surfels of the read buffer of a run.
-    pub buffer_surfels: usize,
+    /// Bytes of the read buffer of a run.
+    pub buffer_bytes: usize,
+    /// Whether what was read is not read again, so that its disk space may be given back.
+    pub releases: bool,
 }
 
 /// How far the surfels are handed out.
@@ -129,7 +131,9 @@ impl PieceWalk {
     pub fn new(divided: &DividedSurfels) -> Self {
         let cursors = match &divided.content {
             Content::Memory(_) => None,
-            Content::Disk(runs) => Some(RunCursors::new(runs, divided.buffer_surfels)),
+            Content::Disk(runs) => {
+                Some(RunCursors::new(runs, divided.buffer_bytes, divided.releases))
+            }
         };
         Self {
             cursors,
@@ -243,8 +247,17 @@ impl PieceWalk {
         match (&divided.content, &mut self.cursors) {
             (Content::Disk(runs), Some(cursors)) => cursors.read(runs, max, &mut self.gathered),
             (Content::Memory(buckets), _) => {
-                let rest = buckets.pieces(cell.node).flatten().skip(done);
-                self.gathered.extend(rest.take(max));
+                let (mut skip, mut left) = (done, max);
+                for piece in buckets.pieces(cell.node) {
+                    let part = &piece[skip.min(piece.len())..];
+                    skip -= skip.min(piece.len());
+                    let part = &part[..left.min(part.len())];
+                    self.gathered.extend_from_slice(part);
+                    left -= part.len();
+                    if left == 0 {
+                        break;
+                    }
+                }
                 Ok(())
             }
             (Content::Disk(_), None) => unreachable!("runs are read with cursors"),

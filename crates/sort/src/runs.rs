@@ -2,12 +2,16 @@
 
 use crate::SortError;
 use crate::buckets::Buckets;
+use crate::form::RecordForm;
 use crate::temp_file::TempFile;
 use crate::trie::Trie;
 use pbgi_cloud::Surfel;
 
-/// Surfels written at once.
-const WRITE_SURFELS: usize = (1 << 20) / size_of::<Surfel>();
+/// Bytes written at once.
+const WRITE_BYTES: usize = 1 << 20;
+
+/// Space is given back by multiples of this many bytes.
+const RELEASE_BYTES: u64 = 1 << 20;
 
 /// Runs in one temporary file, one after another. Each holds its cells in the order of [`Trie::visit`]; later divisions
 /// only insert cells behind their parents, so that all runs can be read side by side.
@@ -17,8 +21,9 @@ pub(crate) struct Runs {
 }
 
 struct Run {
-    /// Rank of its first surfel in the file.
+    /// Its first byte in the file.
     start: u64,
+    form: RecordForm,
     /// Nodes of its cells and how many surfels of each.
     cells: Vec<(u32, u32)>,
 }
@@ -33,10 +38,21 @@ impl Runs {
         self.runs.len()
     }
 
-    /// Writes all surfels in memory as one more run.
-    pub fn write(&mut self, trie: &Trie, buckets: &Buckets) -> Result<(), SortError> {
-        let start = self.file.count();
-        let mut buffer: Vec<Surfel> = Vec::with_capacity(WRITE_SURFELS);
+    /// Bytes of disk space held.
+    #[cfg(test)]
+    pub fn disk_bytes(&self) -> u64 {
+        self.file.disk_bytes()
+    }
+
+    /// Writes all surfels in memory, which are of this form, as one more run.
+    pub fn write(
+        &mut self,
+        trie: &Trie,
+        buckets: &Buckets,
+        form: RecordForm,
+    ) -> Result<(), SortError> {
+        let start = self.file.len();
+        let mut buffer: Vec<u8> = Vec::with_capacity(WRITE_BYTES + (1 << 12));
         let mut cells = Vec::new();
         trie.visit(&mut |node| {
             let len = buckets.len(node);
@@ -46,15 +62,15 @@ impl Runs {
         });
         for &(node, _) in &cells {
             for piece in buckets.pieces(node) {
-                if buffer.len() + piece.len() > WRITE_SURFELS {
+                form.encode(piece, &mut buffer);
+                if buffer.len() >= WRITE_BYTES {
                     self.file.append(&buffer)?;
                     buffer.clear();
                 }
-                buffer.extend_from_slice(piece);
             }
         }
         self.file.append(&buffer)?;
-        self.runs.push(Run { start, cells });
+        self.runs.push(Run { start, form, cells });
         Ok(())
     }
 }
@@ -62,7 +78,9 @@ impl Runs {
 /// Where reading all runs side by side has come to.
 pub(crate) struct RunCursors {
     cursors: Vec<Cursor>,
-    buffer_surfels: usize,
+    buffer_bytes: usize,
+    /// Whether what was read is not read again.
+    releases: bool,
     /// Node being read, the run it is read from, and what of that is left.
     node: u32,
     run: usize,
@@ -73,19 +91,24 @@ pub(crate) struct RunCursors {
 struct Cursor {
     /// Index of the run's next cell.
     cell: usize,
-    /// Rank in the file behind what is in the buffer.
+    /// Place in the file behind what is in the buffer.
     position: u64,
-    buffer: Vec<Surfel>,
-    /// Surfels of the buffer already handed out.
+    /// Place up to which space was given back.
+    released: u64,
+    buffer: Vec<u8>,
+    /// Bytes of the buffer already handed out.
     used: usize,
 }
 
 impl RunCursors {
-    /// At the start of all runs, with buffers of so many surfels.
-    pub fn new(runs: &Runs, buffer_surfels: usize) -> Self {
-        let start = |run: &Run| Cursor { position: run.start, ..Cursor::default() };
+    /// At the start of all runs, with buffers of so many bytes. With `releases` the disk space of what was read is given back.
+    pub fn new(runs: &Runs, buffer_bytes: usize, releases: bool) -> Self {
+        let start = |run: &Run| {
+            let position = run.start;
+            Cursor { position, released: position, ..Cursor::default() }
+        };
         let cursors: Vec<Cursor> = runs.runs.iter().map(start).collect();
-        Self { run: cursors.len(), cursors, buffer_surfels, node: 0, left: 0 }
+        Self { run: cursors.len(), cursors, buffer_bytes, releases, node: 0, left: 0 }
     }
 
     /// Turns to the cell of `node`. Cells must be asked for in the order of [`Trie::visit`], none left out.
@@ -121,12 +144,14 @@ impl RunCursors {
             }
             let cursor = &mut self.cursors[self.run];
             if cursor.used == cursor.buffer.len() {
-                cursor.refill(runs, self.run, self.buffer_surfels)?;
+                cursor.refill(runs, self.run, self.buffer_bytes, self.releases)?;
             }
+            let form = &runs.runs[self.run].form;
+            let size = form.record_bytes();
             let ready = &cursor.buffer[cursor.used..];
-            let now = self.left.min(max).min(ready.len());
-            out.extend_from_slice(&ready[..now]);
-            cursor.used += now;
+            let now = self.left.min(max).min(ready.len() / size);
+            form.decode(&ready[..now * size], out);
+            cursor.used += now * size;
             self.left -= now;
             max -= now;
         }
@@ -135,10 +160,24 @@ impl RunCursors {
 }
 
 impl Cursor {
-    fn refill(&mut self, runs: &Runs, run: usize, surfels: usize) -> Result<(), SortError> {
-        let end = runs.runs.get(run + 1).map_or(runs.file.count(), |next| next.start);
-        let len = (surfels as u64).min(end - self.position) as usize;
-        self.buffer.resize(len, Surfel::default());
+    /// Reads the next whole records of a run.
+    fn refill(
+        &mut self,
+        runs: &Runs,
+        run: usize,
+        bytes: usize,
+        releases: bool,
+    ) -> Result<(), SortError> {
+        let size = runs.runs[run].form.record_bytes();
+        let end = runs.runs.get(run + 1).map_or(runs.file.len(), |next| next.start);
+        let whole = (bytes / size).max(1) * size;
+        let len = (whole as u64).min(end - self.position) as usize;
+        let done = self.position / RELEASE_BYTES * RELEASE_BYTES;
+        if releases && done > self.released {
+            runs.file.release(self.released, done - self.released);
+            self.released = done;
+        }
+        self.buffer.resize(len, 0);
         runs.file.read_at(self.position, &mut self.buffer)?;
         self.position += len as u64;
         self.used = 0;

@@ -1,12 +1,13 @@
 //! From a source to the sorted stream.
 
 use crate::buckets::Buckets;
+use crate::form::RecordForm;
 use crate::options::{Plan, SortOptions, SortPhase};
 use crate::pieces::{Content, DividedSurfels, PieceWalk};
 use crate::reader::{Checked, with_chunks};
 use crate::runs::Runs;
 use crate::sorted::{SortedSurfels, Store};
-use crate::temp_file::{SpooledSource, TempFile};
+use crate::temp_file::{SURFEL_BYTES, SpooledSource, TempFile};
 use crate::trie::{Cell, Trie};
 use crate::{SortError, SurfelSummary};
 use pbgi_cloud::{Surfel, SurfelSource};
@@ -54,11 +55,11 @@ fn spool(
 ) -> Result<(SpooledSource, Aabb), SortError> {
     let (origin, total) = (source.origin(), source.count());
     let mut file = TempFile::create(&options.temp_dir)?;
-    file.check_room(total.unwrap_or(0))?;
+    file.check_room(total.unwrap_or(0).saturating_mul(SURFEL_BYTES))?;
     let Checked { summary, .. } =
         with_chunks(source, None, options.thread_count(), &mut |chunk: &[Surfel]| {
-            file.append(chunk)?;
-            options.check(SortPhase::Bounds, file.count(), total)
+            file.append(bytemuck::cast_slice(chunk))?;
+            options.check(SortPhase::Bounds, file.len() / SURFEL_BYTES, total)
         })?;
     Ok((SpooledSource::new(file, origin), summary.bounds))
 }
@@ -72,6 +73,9 @@ struct Sorter<'a> {
     trie: Trie,
     buckets: Buckets,
     runs: Option<Runs>,
+    /// Form of all surfels in memory, and that of the chunk at hand.
+    form: RecordForm,
+    chunk_form: RecordForm,
     /// Surfels divided so far.
     done: u64,
 }
@@ -85,7 +89,19 @@ impl<'a> Sorter<'a> {
         let mut buckets = Buckets::new(plan.held_surfels);
         let trie = Trie::new();
         buckets.reserve_lists(trie.node_count());
-        Self { options, plan, bounds: *bounds, root, total, trie, buckets, runs: None, done: 0 }
+        Self {
+            options,
+            plan,
+            bounds: *bounds,
+            root,
+            total,
+            trie,
+            buckets,
+            runs: None,
+            form: RecordForm::none(),
+            chunk_form: RecordForm::none(),
+            done: 0,
+        }
     }
 
     fn sort(mut self, source: &mut dyn SurfelSource) -> Result<SortedSurfels, SortError> {
@@ -94,6 +110,9 @@ impl<'a> Sorter<'a> {
         let bounds = self.bounds;
         let Checked { summary, .. } =
             with_chunks(source, Some(&bounds), threads, &mut |chunk: &[Surfel]| {
+                self.chunk_form = RecordForm::none();
+                self.chunk_form.widen(chunk);
+                self.form.widen(chunk);
                 codes.clear();
                 codes.extend(chunk.iter().map(|surfel| root.code(surfel.center())));
                 for (surfel, code) in chunk.iter().zip(&codes) {
@@ -146,13 +165,17 @@ impl<'a> Sorter<'a> {
     fn spill(&mut self) -> Result<(), SortError> {
         if self.runs.is_none() {
             let file = TempFile::create(&self.options.temp_dir)?;
-            file.check_room(self.total.unwrap_or(0))?;
+            file.check_room(
+                self.total.unwrap_or(0).saturating_mul(self.form.record_bytes() as u64),
+            )?;
             self.runs = Some(Runs::new(file));
         }
         if let Some(runs) = &mut self.runs {
-            runs.write(&self.trie, &self.buckets)?;
+            runs.write(&self.trie, &self.buckets, self.form)?;
         }
         self.buckets.clear();
+        // Surfels of the chunk at hand are still to come.
+        self.form = self.chunk_form;
         Ok(())
     }
 
@@ -173,7 +196,8 @@ impl<'a> Sorter<'a> {
             trie: self.trie,
             content,
             cell_surfels: self.plan.piece_surfels / 2,
-            buffer_surfels: self.plan.read_buffer_surfels(run_count),
+            buffer_bytes: self.plan.read_buffer_bytes(run_count),
+            releases: false,
         };
         let walk = PieceWalk::new(&divided);
         let store = Store::Divided(Box::new(divided), walk);
@@ -283,7 +307,7 @@ mod tests {
                     let mut sorted = sort_with_plan(&mut source, &options(0, 2), plan).unwrap();
                     assert_eq!(sorted.run_count() > 0, plan == SMALL);
                     assert!(read_all(&mut sorted) == expected, "{number} {is_bounded} {plan:?}");
-                    sorted.rewind().unwrap();
+                    sorted.rewind();
                     assert!(read_all(&mut sorted) == expected, "{number}, read again");
                     check_pieces(&mut sorted, 3 * plan.piece_surfels / 2);
                 }
@@ -293,7 +317,7 @@ mod tests {
 
     /// Pieces are small, and tell truly of which codes they hold all.
     fn check_pieces(sorted: &mut SortedSurfels, most: usize) {
-        sorted.rewind().unwrap();
+        sorted.rewind();
         let mut pieces = Vec::new();
         while let Some(piece) = sorted.next_piece().unwrap() {
             assert!(!piece.is_empty() && piece.len() <= most, "{} of {most}", piece.len());
@@ -341,18 +365,17 @@ mod tests {
     }
 
     #[test]
-    fn replayable_streams_repeat_themselves() {
-        let surfels = random_surfels(20_000);
-        let expected = oracle(&surfels);
-        let sorted = sort_with_plan(&mut source(&surfels, true), &options(0, 1), SMALL).unwrap();
-        let mut sorted = sorted.into_replayable().unwrap();
-        // Rewinding halfway must not leave half a record.
-        sorted.read_chunk(&mut Vec::new()).unwrap();
-        for _ in 0..3 {
-            sorted.rewind().unwrap();
-            assert!(read_all(&mut sorted) == expected);
-        }
-        assert!(matches!(sorted.store, Store::File { .. }));
+    fn space_is_given_back_as_it_is_read() {
+        let surfels = random_surfels(200_000);
+        let plan = Plan { held_surfels: 100_000, piece_surfels: 4096, ..SMALL };
+        let mut sorted = sort_with_plan(&mut source(&surfels, true), &options(0, 1), plan).unwrap();
+        sorted.release_as_read();
+        assert!(read_all(&mut sorted) == oracle(&surfels));
+        let Store::Divided(divided, _) = &sorted.store else { panic!("it is divided") };
+        let Content::Disk(runs) = &divided.content else { panic!("it is on disk") };
+        // Of 7.2 MB, less than the last megabyte of each run stays.
+        let (count, held) = (runs.run_count(), runs.disk_bytes());
+        assert!(count > 1 && held < 4_000_000, "{count} runs, {held} bytes");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use crate::options::Plan;
 use crate::pieces::{Content, DividedSurfels, PieceWalk, SortedPiece, UnsortedPiece};
-use crate::temp_file::TempFile;
+use crate::temp_file::{SURFEL_BYTES, TempFile};
 use crate::{SortError, SurfelSummary};
 use pbgi_cloud::Surfel;
 use pbgi_math::MortonCode;
@@ -21,8 +21,6 @@ pub struct SortedSurfels {
     /// Piece being handed out by chunks, and how far.
     piece: SortedPiece,
     used: usize,
-    /// Where the order is written down as it is first read.
-    record: Option<TempFile>,
 }
 
 /// Where the surfels are.
@@ -52,7 +50,6 @@ impl SortedSurfels {
             temp_dir: temp_dir.to_owned(),
             piece: SortedPiece::default(),
             used: 0,
-            record: None,
         }
     }
 
@@ -99,7 +96,7 @@ impl SortedSurfels {
             Store::Memory(all, _) => all[start as usize..ahead as usize].to_vec(),
             Store::File(file, _) => {
                 let mut surfels = vec![Surfel::default(); (ahead - start) as usize];
-                file.read_at(start, &mut surfels)?;
+                file.read_at(start * SURFEL_BYTES, bytemuck::cast_slice_mut(&mut surfels))?;
                 surfels
             }
             Store::Divided(..) => unreachable!("handled above"),
@@ -119,14 +116,11 @@ impl SortedSurfels {
     ///
     /// # Errors
     ///
-    /// If a temporary file cannot be read or written.
+    /// If a temporary file cannot be read.
     pub fn read_chunk(&mut self, out: &mut Vec<(MortonCode, Surfel)>) -> Result<bool, SortError> {
         while self.used == self.piece.surfels.len() {
             let Some(piece) = self.next_piece()? else { return Ok(false) };
             (self.piece, self.used) = (piece.sort(), 0);
-            if let Some(record) = &mut self.record {
-                record.append(&self.piece.surfels)?;
-            }
         }
         let end = self.piece.surfels.len().min(self.used + CHUNK);
         let chunk = self.used..end;
@@ -135,41 +129,28 @@ impl SortedSurfels {
         Ok(true)
     }
 
-    /// Starts again at the first surfel. A replayable stream on disk that was read to its end is from now on read in its final
-    /// order.
+    /// Starts again at the first surfel.
     ///
-    /// # Errors
+    /// # Panics
     ///
-    /// If a temporary file cannot be created.
-    pub fn rewind(&mut self) -> Result<(), SortError> {
+    /// If what was read has been given back ([`Self::release_as_read`]).
+    pub fn rewind(&mut self) {
         (self.piece, self.used) = (SortedPiece::default(), 0);
-        if let Some(record) = self.record.take() {
-            if record.count() == self.summary.count {
-                self.store = Store::File(record, SortedWalk::default());
-            } else {
-                self.record = Some(TempFile::create(&self.temp_dir)?);
-            }
-        }
         match &mut self.store {
-            Store::Divided(divided, walk) => *walk = PieceWalk::new(divided),
+            Store::Divided(divided, walk) => {
+                assert!(!divided.releases, "what was read is gone");
+                *walk = PieceWalk::new(divided);
+            }
             Store::Memory(_, walk) | Store::File(_, walk) => *walk = SortedWalk::default(),
         }
-        Ok(())
     }
 
-    /// Makes reading chunks again cheap: runs on disk are written in their final order to one more
-    /// temporary file while they are first read by chunks. In memory this does nothing.
-    ///
-    /// # Errors
-    ///
-    /// If the file cannot be created, or the disk has no room for it.
-    pub fn into_replayable(mut self) -> Result<Self, SortError> {
-        if self.run_count() > 0 {
-            let record = TempFile::create(&self.temp_dir)?;
-            record.check_room(self.summary.count)?;
-            self.record = Some(record);
-            self.rewind()?;
+    /// Starts at the first surfel for the last time: temporary files give their space back as they are read.
+    pub fn release_as_read(&mut self) {
+        self.rewind();
+        if let Store::Divided(divided, walk) = &mut self.store {
+            divided.releases = true;
+            *walk = PieceWalk::new(divided);
         }
-        Ok(self)
     }
 }

@@ -1,23 +1,24 @@
-//! Temporary files without a name, counted in surfels.
+//! Temporary files without a name.
 
 use crate::SortError;
 use pbgi_cloud::{CloudError, Surfel, SurfelSource};
 use pbgi_math::DVec3;
+use rustix::fs::FallocateFlags;
 use std::fs::File;
 use std::io;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
-/// Bytes of a surfel on disk: as in memory, in this machine's byte order.
-const SURFEL_BYTES: u64 = size_of::<Surfel>() as u64;
+/// Bytes of a surfel as it is in memory, in this machine's byte order.
+pub(crate) const SURFEL_BYTES: u64 = size_of::<Surfel>() as u64;
 /// Room left on the disk for others.
 const FREE_BYTES_MIN: u64 = 16 << 20;
 
-/// An unlinked file of surfels: however the process ends, it leaves nothing behind.
+/// An unlinked file: however the process ends, it leaves nothing behind.
 pub(crate) struct TempFile {
     file: File,
     dir: PathBuf,
-    count: u64,
+    len: u64,
 }
 
 impl TempFile {
@@ -28,17 +29,17 @@ impl TempFile {
             action: "create",
             source,
         })?;
-        Ok(Self { file, dir: dir.to_owned(), count: 0 })
+        Ok(Self { file, dir: dir.to_owned(), len: 0 })
     }
 
-    /// Surfels in the file.
-    pub fn count(&self) -> u64 {
-        self.count
+    /// Bytes in the file.
+    pub fn len(&self) -> u64 {
+        self.len
     }
 
-    /// Errors unless the disk has room for `surfels` more.
-    pub fn check_room(&self, surfels: u64) -> Result<(), SortError> {
-        let needed = surfels.saturating_mul(SURFEL_BYTES).saturating_add(FREE_BYTES_MIN);
+    /// Errors unless the disk has room for `bytes` more.
+    pub fn check_room(&self, bytes: u64) -> Result<(), SortError> {
+        let needed = bytes.saturating_add(FREE_BYTES_MIN);
         match self.free_bytes() {
             Some(free) if free < needed => {
                 Err(SortError::DiskFull { dir: self.dir.clone(), needed, free })
@@ -47,33 +48,40 @@ impl TempFile {
         }
     }
 
-    /// Appends surfels.
-    pub fn append(&mut self, surfels: &[Surfel]) -> Result<(), SortError> {
-        self.write_at(self.count, surfels)?;
-        self.count += surfels.len() as u64;
-        Ok(())
-    }
-
-    /// Overwrites surfels from the one at `index` on.
-    pub fn write_at(&self, index: u64, surfels: &[Surfel]) -> Result<(), SortError> {
-        let bytes: &[u8] = bytemuck::cast_slice(surfels);
-        self.file.write_all_at(bytes, index * SURFEL_BYTES).map_err(|source| match source.kind() {
+    /// Appends bytes.
+    pub fn append(&mut self, bytes: &[u8]) -> Result<(), SortError> {
+        self.file.write_all_at(bytes, self.len).map_err(|source| match source.kind() {
             io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => SortError::DiskFull {
                 dir: self.dir.clone(),
                 needed: bytes.len() as u64,
                 free: self.free_bytes().unwrap_or(0),
             },
             _ => self.error("write", source),
-        })
+        })?;
+        self.len += bytes.len() as u64;
+        Ok(())
     }
 
-    /// Fills `out` with the surfels from the one at `index` on.
-    pub fn read_at(&self, index: u64, out: &mut [Surfel]) -> Result<(), SortError> {
-        self.read_raw(index, out).map_err(|source| self.error("read", source))
+    /// Fills `out` with the bytes from `offset` on.
+    pub fn read_at(&self, offset: u64, out: &mut [u8]) -> Result<(), SortError> {
+        self.read_raw(offset, out).map_err(|source| self.error("read", source))
     }
 
-    fn read_raw(&self, index: u64, out: &mut [Surfel]) -> io::Result<()> {
-        self.file.read_exact_at(bytemuck::cast_slice_mut(out), index * SURFEL_BYTES)
+    fn read_raw(&self, offset: u64, out: &mut [u8]) -> io::Result<()> {
+        self.file.read_exact_at(out, offset)
+    }
+
+    /// Gives the disk space of `len` bytes from `offset` on back, where the file system can.
+    pub fn release(&self, offset: u64, len: u64) {
+        let hole = FallocateFlags::PUNCH_HOLE | FallocateFlags::KEEP_SIZE;
+        // Space that cannot be given back now is when the file is closed.
+        let _ = rustix::fs::fallocate(&self.file, hole, offset, len);
+    }
+
+    /// Bytes of disk space held.
+    #[cfg(test)]
+    pub fn disk_bytes(&self) -> u64 {
+        std::os::unix::fs::MetadataExt::blocks(&self.file.metadata().unwrap()) * 512
     }
 
     fn free_bytes(&self) -> Option<u64> {
@@ -86,7 +94,7 @@ impl TempFile {
     }
 }
 
-/// Surfels of a temporary file as a source.
+/// Surfels of a temporary file as a source, which gives its space back as it is read.
 pub(crate) struct SpooledSource {
     file: TempFile,
     origin: DVec3,
@@ -106,18 +114,21 @@ impl SurfelSource for SpooledSource {
     }
 
     fn count(&self) -> Option<u64> {
-        Some(self.file.count)
+        Some(self.file.len / SURFEL_BYTES)
     }
 
     fn read_chunk(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
-        let start = out.len();
-        let now = (self.file.count - self.next).min(SPOOL_CHUNK);
+        let (start, count) = (out.len(), self.file.len / SURFEL_BYTES);
+        let now = (count - self.next).min(SPOOL_CHUNK);
         out.resize(start + now as usize, Surfel::default());
+        let (offset, bytes) =
+            (self.next * SURFEL_BYTES, bytemuck::cast_slice_mut(&mut out[start..]));
         self.file
-            .read_raw(self.next, &mut out[start..])
+            .read_raw(offset, bytes)
             .map_err(|source| CloudError::io(&self.file.dir, "read a temporary file", source))?;
+        self.file.release(offset, now * SURFEL_BYTES);
         self.next += now;
-        Ok(self.next < self.file.count)
+        Ok(self.next < count)
     }
 }
 
@@ -143,7 +154,7 @@ mod tests {
     fn files_have_no_name() {
         let dir = tempfile::tempdir().unwrap();
         let mut file = TempFile::create(dir.path()).unwrap();
-        file.append(&[Surfel::default(); 100]).unwrap();
+        file.append(&[7; 100]).unwrap();
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);
     }
 }
