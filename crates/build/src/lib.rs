@@ -22,6 +22,7 @@ pub use error::BuildError;
 pub use lobe_sum::LobeSum;
 pub use octree::{build_octree, build_octree_from_pieces};
 pub use reduce::LobeSums;
+pub use writer::remove_unfinished;
 
 use pbgi_cloud::Surfel;
 use pbgi_math::{DVec3, MortonCode, RootCube};

@@ -10,6 +10,31 @@ use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+/// Removes what a killed build of `target` has left, but not what a running one is writing.
+///
+/// # Errors
+///
+/// If it is there and cannot be removed.
+pub fn remove_unfinished(target: &Path) -> std::io::Result<()> {
+    let path = unfinished_path(target);
+    let file = match File::options().write(true).open(&path) {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(()),
+        other => other?,
+    };
+    match rustix::fs::flock(&file, rustix::fs::FlockOperation::NonBlockingLockExclusive) {
+        Ok(()) => std::fs::remove_file(&path),
+        Err(_) => Ok(()),
+    }
+}
+
+/// Path of the file that becomes `target` when it is complete.
+fn unfinished_path(target: &Path) -> PathBuf {
+    let mut name = std::ffi::OsString::from(".");
+    name.push(target.file_name().unwrap_or_else(|| "scene.pbgi".as_ref()));
+    name.push(".tmp");
+    target.with_file_name(name)
+}
+
 /// An octree file that does not exist under its name before [`FileWriter::finish`].
 pub(crate) struct FileWriter {
     target: PathBuf,
@@ -28,10 +53,7 @@ impl FileWriter {
     /// Starts a file beside `target`, under a name of its own that a later run takes over should
     /// this one be killed.
     pub fn create(target: &Path, compress: bool) -> Result<Self, BuildError> {
-        let mut name = std::ffi::OsString::from(".");
-        name.push(target.file_name().unwrap_or_else(|| "scene.pbgi".as_ref()));
-        name.push(".tmp");
-        let temporary = target.with_file_name(name);
+        let temporary = unfinished_path(target);
         let io = |action| {
             let path = temporary.clone();
             move |source| BuildError::Io { path, action, source }

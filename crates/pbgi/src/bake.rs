@@ -6,21 +6,22 @@ use crate::bake_report::{BakeReport, BytesPerSurfel, PhaseReport};
 use crate::bake_request::{BakeRequest, NormalsChoice};
 use crate::input::Inputs;
 use crate::memory::{peak_resident_bytes, process_use};
-use crate::output_path::temporary_octree;
+use crate::output_path::temporary_path;
 use crate::progress::{Phase, Progress, format_bytes};
 use crate::relight::{EmissionPieces, Light, PassSettings, RelitStream, check_canceled};
 use pbgi_build::{
-    BuildOptions, BuildReport, ChannelChoice, StreamSummary, build_octree, build_octree_from_pieces,
+    BuildOptions, BuildReport, ChannelChoice, StreamSummary, build_octree,
+    build_octree_from_pieces, remove_unfinished,
 };
 use pbgi_cloud::SurfelSource;
 use pbgi_light::UpAxis;
 use pbgi_math::Vec3;
 use pbgi_sort::{
-    EstimateOptions, SortOptions, SortPhase, SortProgress, SortedSurfels, SurfelSummary,
-    estimate_surfels, pieces_in_flight, sort_surfels,
+    Checkpoint, EstimateOptions, SortOptions, SortPhase, SortProgress, SortedSurfels,
+    SurfelSummary, estimate_surfels, pieces_in_flight, sort_surfels,
 };
 use pbgi_store::{Octree, OpenOptions};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
@@ -64,7 +65,12 @@ pub fn bake(
         memory_limit_bytes: request.memory_limit,
         ..BakeReport::default()
     };
-    let mut baker = Baker { request, memory, progress, cancel, light, z_up, report };
+    let checkpoint = Checkpoint {
+        path: temporary_path(&request.temp_dir(), &request.output),
+        fingerprint: request.fingerprint(),
+    };
+    let mut baker = Baker { request, memory, progress, cancel, light, z_up, report, checkpoint };
+    baker.remove_leftovers()?;
     let sorted = pool.install(|| baker.sort(&mut inputs))?;
     baker.report.warnings.append(&mut inputs.warnings);
     let lacks_normals = inputs.any_lacks_normals;
@@ -72,6 +78,7 @@ pub fn bake(
     drop((inputs, pool));
     let sorted = baker.estimate(sorted, lacks_normals)?;
     let build = baker.build(sorted)?;
+    baker.checkpoint.remove()?;
     Ok(baker.finish(&build, start))
 }
 
@@ -84,6 +91,8 @@ struct Baker<'a> {
     light: Light,
     z_up: bool,
     report: BakeReport,
+    /// What finished phases leave for a run that takes up this one.
+    checkpoint: Checkpoint,
 }
 
 impl<'a> Baker<'a> {
@@ -114,6 +123,9 @@ impl<'a> Baker<'a> {
             SortOptions { progress: Some(&report_progress), ..self.sort_options(budget_bytes) };
         let sorted = sort_surfels(&mut source, &options)?;
         drop(phases);
+        if sorted.is_resumed() {
+            self.progress.note("taking up the surfels that an earlier run has sorted (--resume)");
+        }
         self.report.skipped = source.skipped();
         let count = sorted.summary().count;
         if count == 0 {
@@ -133,6 +145,7 @@ impl<'a> Baker<'a> {
             temp_dir: self.request.temp_dir(),
             threads: self.memory.threads,
             cancel: Some(self.cancel),
+            checkpoint: self.request.resume.then(|| self.checkpoint.clone()),
             progress: None,
         }
     }
@@ -176,10 +189,12 @@ impl<'a> Baker<'a> {
                 false => ChannelChoice::AsNeeded,
             };
             let options = BuildOptions { channels, ..self.output_options() };
-            sorted.release_as_read();
+            if !request.resume {
+                sorted.release_as_read();
+            }
             return self.build_emission(&mut sorted, &options, &request.output);
         }
-        let temporary = temporary_octree(&request.temp_dir(), &request.output);
+        let temporary = self.temporary_octree();
         // What the environment's pass needs is only what blocks.
         let has_environment = self.light.has_environment();
         let channels =
@@ -204,6 +219,26 @@ impl<'a> Baker<'a> {
             }
             (source_max, pass) = (reached, pass + 1);
         }
+    }
+
+    /// Removes what a killed run has left and this one does not take up.
+    fn remove_leftovers(&self) -> Result<(), PbgiError> {
+        if !self.request.resume {
+            self.checkpoint.remove()?;
+        }
+        let path = self.temporary_octree();
+        remove_unfinished(&path).map_err(|e| PbgiError::output(&path, "remove", e))?;
+        match std::fs::remove_file(&path) {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+                Err(PbgiError::output(&path, "remove", e))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The octree of the pass before, which has a name only until it is open.
+    fn temporary_octree(&self) -> PathBuf {
+        self.checkpoint.path.with_added_extension("pass.pbgi")
     }
 
     /// Passes of light; 0 where they would change nothing.

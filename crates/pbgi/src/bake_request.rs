@@ -8,6 +8,7 @@ use pbgi_build::{BuildOptions, PAGE_BYTES_RANGE};
 use pbgi_cloud::CloudOptions;
 use pbgi_light::UpAxis;
 use pbgi_scene::TwoSided;
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::PathBuf;
 
 /// What to do where a cloud has no normals.
@@ -41,6 +42,8 @@ pub struct BakeRequest {
     pub normals: NormalsChoice,
     /// Light to store.
     pub light: LightRequest,
+    /// Keep what finished phases made until the bake is complete, and go on with what an earlier run has kept.
+    pub resume: bool,
     /// Folder for temporary files; that of the output where not given.
     pub temp_dir: Option<PathBuf>,
     /// Bytes the process may hold.
@@ -70,6 +73,7 @@ impl Default for BakeRequest {
             up: None,
             normals: NormalsChoice::default(),
             light: LightRequest::default(),
+            resume: false,
             temp_dir: None,
             memory_limit: 1 << 30,
             threads: std::thread::available_parallelism().map_or(1, usize::from),
@@ -120,7 +124,29 @@ impl BakeRequest {
             let folder = folder.display();
             return Err(PbgiError::usage(format!("--temp-dir {folder} is no folder")));
         }
+        if self.resume && self.inputs.iter().any(|input| input == "-") {
+            return Err(PbgiError::usage(
+                "--resume cannot tell whether standard input is the same again; bake a file",
+            ));
+        }
         check_output(&self.output, self.force, &self.inputs)
+    }
+
+    /// Tells requests apart whose phases give different results: by inputs, their sizes and times, and by all that shapes the
+    /// surfels and their light.
+    pub(crate) fn fingerprint(&self) -> u64 {
+        let mut hasher = DefaultHasher::new();
+        env!("CARGO_PKG_VERSION").hash(&mut hasher);
+        for input in &self.inputs {
+            let facts = std::fs::metadata(input).ok().map(|m| (m.len(), m.modified().ok()));
+            (std::fs::canonicalize(input).ok(), input, facts).hash(&mut hasher);
+        }
+        let Self { sampling, two_sided, cloud, up, normals, light, .. } = self;
+        format!("{sampling:?} {two_sided:?} {cloud:?} {up:?} {normals:?} {light:?}")
+            .hash(&mut hasher);
+        // The memory limit decides how large pieces are.
+        (self.memory_limit, self.occlusion_only).hash(&mut hasher);
+        hasher.finish()
     }
 
     /// Folder for temporary files.
@@ -146,6 +172,7 @@ mod tests {
             BakeRequest { sampling: Sampling::Surfels(0), ..good() },
             BakeRequest { occlusion_only: true, light, ..good() },
             BakeRequest { temp_dir: Some("none/such".into()), ..good() },
+            BakeRequest { resume: true, inputs: vec!["-".into()], ..good() },
             BakeRequest::default(),
         ] {
             assert_eq!(bad.check().unwrap_err().exit_code(), cli::EXIT_MISUSED, "{bad:?}");

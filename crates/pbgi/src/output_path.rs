@@ -57,14 +57,14 @@ pub(crate) fn check_output(output: &Path, force: bool, inputs: &[String]) -> Res
         .map_err(|e| PbgiError::output(output, "create", e))
 }
 
-/// Name of the octree of an unfinished light pass in `temp_dir`. Always the same for the same
+/// Path in `temp_dir` for what a bake of `output` leaves between its phases, without its last extension. Always the same for the same
 /// output, so that the next run takes over what a killed one left; different for different outputs.
-pub(crate) fn temporary_octree(temp_dir: &Path, output: &Path) -> PathBuf {
+pub(crate) fn temporary_path(temp_dir: &Path, output: &Path) -> PathBuf {
     let folder = std::fs::canonicalize(folder_of(output)).unwrap_or_default();
     let mut hasher = DefaultHasher::new();
     (folder, output.file_name()).hash(&mut hasher);
     let stem = output.file_stem().unwrap_or_default().to_string_lossy();
-    temp_dir.join(format!(".{stem}-{:016x}.pass.pbgi", hasher.finish()))
+    temp_dir.join(format!(".{stem}-{:016x}", hasher.finish()))
 }
 
 #[cfg(test)]
@@ -93,7 +93,7 @@ mod tests {
 
     #[test]
     fn temporary_names_differ_by_output() {
-        let name = |output: &str| temporary_octree(Path::new("tmp"), Path::new(output));
+        let name = |output: &str| temporary_path(Path::new("tmp"), Path::new(output));
         assert_eq!(name("a.pbgi"), name("./a.pbgi"));
         assert_ne!(name("a.pbgi"), name("b.pbgi"));
         assert_ne!(name("a.pbgi"), name("/a.pbgi"));

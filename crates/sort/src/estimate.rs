@@ -89,7 +89,11 @@ pub fn estimate_surfels(
     if !(before.any_missing_size || (options.normals && before.any_isotropic)) {
         return Ok((sorted, report));
     }
-    sorted.release_as_read();
+    if sort_options.checkpoint.is_none() {
+        sorted.release_as_read();
+    } else {
+        sorted.rewind();
+    }
     let pool = sort_options.thread_pool()?;
     let mut window = Window::default();
     let mut summary = SurfelSummary { root: before.root, ..SurfelSummary::new(before.origin) };

@@ -26,6 +26,16 @@ impl RecordForm {
         Self { common, is_empty: true, stores_radiance: false, stores_rest: false }
     }
 
+    /// What all surfels share, and whether the form is that of none, stores radiance, stores the rest.
+    pub fn to_parts(self) -> (Surfel, [bool; 3]) {
+        (self.common, [self.is_empty, self.stores_radiance, self.stores_rest])
+    }
+
+    /// The inverse of [`Self::to_parts`].
+    pub fn from_parts(common: Surfel, [is_empty, stores_radiance, stores_rest]: [bool; 3]) -> Self {
+        Self { common, is_empty, stores_radiance, stores_rest }
+    }
+
     /// Makes sure that the form holds these surfels, too.
     pub fn widen(&mut self, surfels: &[Surfel]) {
         let Some(first) = surfels.first() else { return };

@@ -10,6 +10,7 @@
 #![forbid(unsafe_code)]
 
 mod buckets;
+mod checkpoint;
 mod eigen;
 mod error;
 mod estimate;
@@ -25,6 +26,7 @@ mod summary;
 mod temp_file;
 mod trie;
 
+pub use checkpoint::Checkpoint;
 pub use error::SortError;
 pub use estimate::{EstimateOptions, EstimateReport, estimate_surfels};
 pub use options::{BUDGET_BYTES_MIN, SortOptions, SortPhase, SortProgress, pieces_in_flight};

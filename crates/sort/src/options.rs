@@ -2,6 +2,7 @@
 
 use crate::SortError;
 use crate::buckets::SURFEL_BYTES;
+use crate::checkpoint::Checkpoint;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -30,6 +31,8 @@ pub struct SortOptions<'a> {
     /// Folder for temporary files. They have no name there, so that nothing stays behind, and take at most
     /// 44 bytes per surfel: less where light, albedo or flags are all the same, twice that where the source does not know its bounds.
     pub temp_dir: PathBuf,
+    /// Where what is sorted is kept, and taken up from if an earlier run has kept it. The caller removes it.
+    pub checkpoint: Option<Checkpoint>,
     /// Threads to sort with; 0 for one per core.
     pub threads: usize,
     /// Set to stop; looked at every few thousand surfels.
@@ -43,6 +46,7 @@ impl Default for SortOptions<'_> {
         Self {
             budget_bytes: 512 << 20,
             temp_dir: std::env::temp_dir(),
+            checkpoint: None,
             threads: 0,
             cancel: None,
             progress: None,

@@ -20,18 +20,31 @@ pub(crate) struct Runs {
     runs: Vec<Run>,
 }
 
-struct Run {
+pub(crate) struct Run {
     /// Its first byte in the file.
-    start: u64,
-    form: RecordForm,
+    pub start: u64,
+    pub form: RecordForm,
     /// Nodes of its cells and how many surfels of each.
-    cells: Vec<(u32, u32)>,
+    pub cells: Vec<(u32, u32)>,
 }
 
 impl Runs {
     /// No runs yet.
     pub fn new(file: TempFile) -> Self {
         Self { file, runs: Vec::new() }
+    }
+
+    /// Runs that are in a file already.
+    pub fn from_parts(file: TempFile, runs: Vec<Run>) -> Self {
+        Self { file, runs }
+    }
+
+    pub fn file(&self) -> &TempFile {
+        &self.file
+    }
+
+    pub fn runs(&self) -> &[Run] {
+        &self.runs
     }
 
     pub fn run_count(&self) -> usize {

@@ -1,6 +1,7 @@
 //! From a source to the sorted stream.
 
 use crate::buckets::Buckets;
+use crate::checkpoint::Checkpoint;
 use crate::form::RecordForm;
 use crate::options::{Plan, SortOptions, SortPhase};
 use crate::pieces::{Content, DividedSurfels, PieceWalk};
@@ -12,6 +13,7 @@ use crate::trie::{Cell, Trie};
 use crate::{SortError, SurfelSummary};
 use pbgi_cloud::{Surfel, SurfelSource};
 use pbgi_math::{Aabb, MortonCode, RootCube, Vec3};
+use std::path::Path;
 
 /// Surfels after which a cell may be divided although it is not full, where the rest of the input will fill it.
 const EARLY_SURFELS: u64 = 1024;
@@ -38,6 +40,13 @@ pub(crate) fn sort_with_plan(
     options: &SortOptions,
     plan: Plan,
 ) -> Result<SortedSurfels, SortError> {
+    if let Some((summary, plan, trie, runs)) =
+        options.checkpoint.as_ref().and_then(Checkpoint::load)
+    {
+        let mut sorted = divided(summary, plan, trie, Content::Disk(runs), &options.temp_dir);
+        sorted.is_resumed = true;
+        return Ok(sorted);
+    }
     match source.find_bounds()? {
         Some(bounds) => Sorter::new(options, plan, &bounds, source.count()).sort(source),
         None => {
@@ -164,7 +173,10 @@ impl<'a> Sorter<'a> {
     /// Moves all surfels in memory to disk.
     fn spill(&mut self) -> Result<(), SortError> {
         if self.runs.is_none() {
-            let file = TempFile::create(&self.options.temp_dir)?;
+            let file = match &self.options.checkpoint {
+                Some(checkpoint) => TempFile::create_named(&checkpoint.runs_path())?,
+                None => TempFile::create(&self.options.temp_dir)?,
+            };
             file.check_room(
                 self.total.unwrap_or(0).saturating_mul(self.form.record_bytes() as u64),
             )?;
@@ -180,29 +192,42 @@ impl<'a> Sorter<'a> {
     }
 
     fn finish(mut self, summary: SurfelSummary) -> Result<SortedSurfels, SortError> {
-        if self.runs.is_some() {
+        if self.runs.is_some() || self.options.checkpoint.is_some() {
             self.spill()?;
         }
-        let (content, run_count) = match self.runs {
-            // The memory of the lists goes to read buffers.
-            Some(runs) => {
-                let count = runs.run_count();
-                (Content::Disk(runs), count)
-            }
-            None => (Content::Memory(self.buckets), 0),
+        if let (Some(checkpoint), Some(runs)) = (&self.options.checkpoint, &self.runs) {
+            checkpoint.save(&summary, &self.plan, &self.trie, runs)?;
+        }
+        // Where there are runs, the memory of the lists goes to read buffers.
+        let content = match self.runs {
+            Some(runs) => Content::Disk(runs),
+            None => Content::Memory(self.buckets),
         };
-        let divided = DividedSurfels {
-            root: self.root,
-            trie: self.trie,
-            content,
-            cell_surfels: self.plan.piece_surfels / 2,
-            buffer_bytes: self.plan.read_buffer_bytes(run_count),
-            releases: false,
-        };
-        let walk = PieceWalk::new(&divided);
-        let store = Store::Divided(Box::new(divided), walk);
-        Ok(SortedSurfels::new(summary, self.plan, store, &self.options.temp_dir))
+        Ok(divided(summary, self.plan, self.trie, content, &self.options.temp_dir))
     }
+}
+
+fn divided(
+    summary: SurfelSummary,
+    plan: Plan,
+    trie: Trie,
+    content: Content,
+    temp_dir: &Path,
+) -> SortedSurfels {
+    let run_count = match &content {
+        Content::Disk(runs) => runs.run_count(),
+        Content::Memory(_) => 0,
+    };
+    let divided = DividedSurfels {
+        root: summary.root,
+        trie,
+        content,
+        cell_surfels: plan.piece_surfels / 2,
+        buffer_bytes: plan.read_buffer_bytes(run_count),
+        releases: false,
+    };
+    let walk = PieceWalk::new(&divided);
+    SortedSurfels::new(summary, plan, Store::Divided(Box::new(divided), walk), temp_dir)
 }
 
 #[cfg(test)]
@@ -376,6 +401,47 @@ mod tests {
         // Of 7.2 MB, less than the last megabyte of each run stays.
         let (count, held) = (runs.run_count(), runs.disk_bytes());
         assert!(count > 1 && held < 4_000_000, "{count} runs, {held} bytes");
+    }
+
+    #[test]
+    fn kept_surfels_are_taken_up_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let surfels = random_surfels(20_000);
+        let checkpoint = |fingerprint| {
+            let path = folder.path().join(".kept");
+            let checkpoint = Some(Checkpoint { path, fingerprint });
+            SortOptions { checkpoint, ..options(0, 1) }
+        };
+        let sort = |options: &SortOptions, surfels: &[Surfel], plan| {
+            sort_with_plan(&mut source(surfels, true), options, plan).unwrap()
+        };
+        for plan in [SMALL, large()] {
+            let first = sort(&checkpoint(7), &surfels, plan);
+            assert!(!first.is_resumed() && first.run_count() > 0);
+            let summary = *first.summary();
+            drop(first);
+            // The source is not asked again.
+            let mut again = sort(&checkpoint(7), &[], plan);
+            assert!(again.is_resumed() && *again.summary() == summary);
+            assert!(read_all(&mut again) == oracle(&surfels));
+            // Other inputs, and damaged files, do not count.
+            let other = sort(&checkpoint(8), &surfels[..5000], plan);
+            assert!(!other.is_resumed() && other.summary().count == 5000);
+        }
+        let state = folder.path().join(".kept.state");
+        let bytes = std::fs::read(&state).unwrap();
+        for damage in 0..200 {
+            let mut bytes = bytes.clone();
+            let at = damage * 7919 % bytes.len();
+            match damage % 2 {
+                0 => bytes[at] ^= 1 << (damage % 8),
+                _ => bytes.truncate(at),
+            }
+            std::fs::write(&state, bytes).unwrap();
+            assert!(checkpoint(8).checkpoint.unwrap().load().is_none(), "{damage} at {at}");
+        }
+        checkpoint(8).checkpoint.unwrap().remove().unwrap();
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 
     #[test]

@@ -21,6 +21,7 @@ pub struct SortedSurfels {
     /// Piece being handed out by chunks, and how far.
     piece: SortedPiece,
     used: usize,
+    pub(crate) is_resumed: bool,
 }
 
 /// Where the surfels are.
@@ -50,7 +51,14 @@ impl SortedSurfels {
             temp_dir: temp_dir.to_owned(),
             piece: SortedPiece::default(),
             used: 0,
+            is_resumed: false,
         }
+    }
+
+    /// Whether the surfels were not read from the source, but are those an earlier run has kept.
+    #[must_use]
+    pub fn is_resumed(&self) -> bool {
+        self.is_resumed
     }
 
     /// What the stream holds.

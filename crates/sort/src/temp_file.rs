@@ -1,4 +1,4 @@
-//! Temporary files without a name.
+//! Temporary files, which have no name unless they are to outlive the process.
 
 use crate::SortError;
 use pbgi_cloud::{CloudError, Surfel, SurfelSource};
@@ -14,7 +14,7 @@ pub(crate) const SURFEL_BYTES: u64 = size_of::<Surfel>() as u64;
 /// Room left on the disk for others.
 const FREE_BYTES_MIN: u64 = 16 << 20;
 
-/// An unlinked file: however the process ends, it leaves nothing behind.
+/// An unlinked file, so that nothing stays behind however the process ends, or a named one.
 pub(crate) struct TempFile {
     file: File,
     dir: PathBuf,
@@ -30,6 +30,28 @@ impl TempFile {
             source,
         })?;
         Ok(Self { file, dir: dir.to_owned(), len: 0 })
+    }
+
+    /// Creates an empty file of this name, which stays when it is closed.
+    pub fn create_named(path: &Path) -> Result<Self, SortError> {
+        let dir = path.parent().unwrap_or(Path::new(".")).to_owned();
+        let options = File::options().read(true).write(true).create(true).truncate(true).open(path);
+        match options {
+            Ok(file) => Ok(Self { file, dir, len: 0 }),
+            Err(source) => Err(SortError::Temp { dir, action: "create", source }),
+        }
+    }
+
+    /// Opens a file of this name, if it has this length.
+    pub fn open(path: &Path, len: u64) -> Option<Self> {
+        let file = File::options().read(true).write(true).open(path).ok()?;
+        let dir = path.parent().unwrap_or(Path::new(".")).to_owned();
+        (file.metadata().ok()?.len() == len).then_some(Self { file, dir, len })
+    }
+
+    /// Waits until all of it is on disk.
+    pub fn sync(&self) -> Result<(), SortError> {
+        self.file.sync_data().map_err(|source| self.error("sync", source))
     }
 
     /// Bytes in the file.

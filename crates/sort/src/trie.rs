@@ -81,6 +81,21 @@ impl Trie {
         Self { first_children: vec![0], counts: vec![0] }
     }
 
+    /// Appends all there is to know.
+    pub fn save(&self, words: &mut Vec<u64>) {
+        words.push(self.counts.len() as u64);
+        words.extend(self.first_children.iter().map(|&first| u64::from(first)));
+        words.extend(&self.counts);
+    }
+
+    /// The inverse of [`Self::save`].
+    pub fn load(words: &mut impl Iterator<Item = u64>) -> Option<Self> {
+        let count = words.next()? as usize;
+        let first_children: Vec<u32> = words.by_ref().take(count).map(|w| w as u32).collect();
+        let counts: Vec<u64> = words.by_ref().take(count).collect();
+        (counts.len() == count && count > 0).then_some(Self { first_children, counts })
+    }
+
     pub fn node_count(&self) -> usize {
         self.counts.len()
     }

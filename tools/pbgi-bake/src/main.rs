@@ -34,6 +34,9 @@ struct Args {
     light: LightArgs,
     #[command(flatten)]
     layout: LayoutArgs,
+    /// Keep what finished phases made until the bake is complete; go on with what a killed run kept
+    #[arg(long)]
+    resume: bool,
     /// Folder for temporary files; that of the output if not given
     #[arg(long, value_name = "FOLDER")]
     temp_dir: Option<PathBuf>,
@@ -168,6 +171,7 @@ impl Args {
                 raster_edge: light.bounce_raster,
                 share: light.bounce_share,
             },
+            resume: self.resume,
             temp_dir: self.temp_dir.clone(),
             memory_limit: self.common.memory_limit,
             threads: self.common.thread_count(),

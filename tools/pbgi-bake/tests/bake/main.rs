@@ -4,4 +4,5 @@
 mod errors;
 mod formats;
 mod invariance;
+mod kill;
 mod support;

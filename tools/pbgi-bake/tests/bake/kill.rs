@@ -1,0 +1,100 @@
+//! A bake that is killed, wherever it is.
+
+use crate::support::Bench;
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+
+/// Kills of each kind of bake, at moments spread over its time.
+const KILLS: u32 = 18;
+
+/// Bakes that go through all phases: to disk and back, and with light.
+const BAKES: [&[&str]; 2] = [
+    &["demo:street?surfels=500k", "--memory-limit", "64MiB"],
+    &["demo:room?surfels=4k", "--memory-limit", "64MiB", "--bounces", "2"],
+];
+
+fn bake<'a>(input: &[&'a str], more: &[&'a str]) -> Vec<&'a str> {
+    [input, &["-o", "scene.pbgi", "--force", "--threads", "2"], more].concat()
+}
+
+/// Starts a bake and kills it after a while; whether it was still running.
+fn start_and_kill(bench: &Bench, args: &[&str], after: Duration) -> bool {
+    let mut command = bench.command(args);
+    let mut child =
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    std::thread::sleep(after);
+    let is_running = child.try_wait().unwrap().is_none();
+    // SIGKILL: the process gets no chance to clean up.
+    child.kill().unwrap();
+    child.wait().unwrap();
+    is_running
+}
+
+#[test]
+fn a_killed_bake_leaves_the_old_file_and_the_next_one_leaves_nothing_else() {
+    for input in BAKES {
+        let bench = Bench::new();
+        let start = Instant::now();
+        bench.bake(&bake(input, &[]), "scene.pbgi");
+        let whole = start.elapsed();
+        let finished = bench.read("scene.pbgi");
+        bench.write("scene.pbgi", "the old file");
+        let mut killed = 0;
+        for kill in 0..KILLS {
+            if start_and_kill(&bench, &bake(input, &[]), whole * kill / KILLS) {
+                killed += 1;
+                assert_eq!(bench.read("scene.pbgi"), b"the old file", "kill {kill}");
+            }
+            bench.write("scene.pbgi", "the old file");
+        }
+        assert!(killed > KILLS / 3, "{killed} kills of {whole:?}");
+        bench.bake(&bake(input, &[]), "scene.pbgi");
+        assert!(bench.read("scene.pbgi") == finished);
+        assert_eq!(bench.files(), ["scene.pbgi"]);
+    }
+}
+
+#[test]
+fn a_killed_bake_is_taken_up_again() {
+    let bench = Bench::new();
+    let input = BAKES[0];
+    let start = Instant::now();
+    bench.bake(&bake(input, &[]), "scene.pbgi");
+    let whole = start.elapsed();
+    let finished = bench.read("scene.pbgi");
+    std::fs::remove_file(bench.path("scene.pbgi")).unwrap();
+    let state = |name: &String| name.ends_with(".state");
+    let mut taken_up = 0;
+    for kill in 0..12 {
+        start_and_kill(&bench, &bake(input, &["--resume"]), whole * (kill + 1) / 12);
+        let is_kept = bench.files().iter().any(state);
+        let run = bench.run(&bake(input, &["--resume"]));
+        assert_eq!(run.code, 0, "{}", run.stderr);
+        let is_taken_up = run.stderr.contains("taking up the surfels");
+        assert_eq!(is_taken_up, is_kept, "{}", run.stderr);
+        taken_up += u32::from(is_taken_up);
+        assert!(bench.read("scene.pbgi") == finished);
+        assert_eq!(bench.files(), ["scene.pbgi"]);
+    }
+    assert!(taken_up > 0, "no kill came after the sort");
+    // Without --resume nothing of a killed run is used, and nothing stays.
+    bench.write(&keep_state(&bench, input), "damaged");
+    bench.bake(&bake(input, &[]), "scene.pbgi");
+    assert_eq!(bench.files(), ["scene.pbgi"]);
+}
+
+/// Kills a bake once it has kept something, and returns the name of that file.
+fn keep_state(bench: &Bench, input: &[&str]) -> String {
+    let args = bake(input, &["--resume"]);
+    let mut child =
+        bench.command(&args).stdin(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    loop {
+        if let Some(name) = bench.files().into_iter().find(|name| name.ends_with(".state")) {
+            child.kill().unwrap();
+            child.wait().unwrap();
+            return name;
+        }
+        assert!(child.try_wait().unwrap().is_none(), "it ended without keeping anything");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
