@@ -9,11 +9,13 @@ mod las;
 mod las_decoder;
 mod open;
 mod ply;
+mod ply_columns;
 mod ply_points;
 mod ply_writer;
 pub mod raw;
 mod receiver_table;
 mod record;
+mod record_batch;
 mod source;
 mod surfel;
 

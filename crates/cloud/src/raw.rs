@@ -27,7 +27,7 @@
 //! bits 24–31 the direction of the long edge of a rectangle with half the diagonal `radius` ([`pbgi_math::TileCode`]), or 0.
 //! That of version 1 is the normal alone, in two 16-bit numbers; such streams are read, not written.
 
-use crate::record::{Defect, Record};
+use crate::record::{Defect, Record, is_sound};
 use crate::source::CHUNK_SURFELS;
 use crate::{AtomicFile, CloudError, CloudOptions, Surfel, SurfelFlags, SurfelSource};
 use half::f16;
@@ -136,6 +136,40 @@ impl<R: Read + Send> RawSource<R> {
         })
     }
 
+    /// Appends the surfels of whole records.
+    fn push_records(&mut self, bytes: &[u8], out: &mut Vec<Surfel>) -> Result<(), CloudError> {
+        if self.wide_normals || !push_sound(bytes, self.kind, &self.options, out) {
+            return self.push_doubtful(bytes, out);
+        }
+        self.next += (bytes.len() / self.kind.record_bytes()) as u64;
+        Ok(())
+    }
+
+    /// Appends surfels whose fields must be completed, clamped or refused.
+    fn push_doubtful(&mut self, bytes: &[u8], out: &mut Vec<Surfel>) -> Result<(), CloudError> {
+        for bytes in bytes.chunks_exact(self.kind.record_bytes()) {
+            let normal = match self.wide_normals {
+                true => decode_octahedral(orientation_at(bytes)),
+                false => decode_octahedral24(orientation_at(bytes)),
+            };
+            let surfel = record_from_le_bytes(bytes, self.kind, normal, &self.options)
+                .and_then(|record| record.to_surfel(self.options.disk_overlap));
+            match surfel {
+                // The code itself, so that copying a stream changes no bit.
+                Ok(surfel) if !self.wide_normals => {
+                    out.push(Surfel { orientation: orientation_at(bytes), ..surfel });
+                }
+                Ok(surfel) => out.push(surfel),
+                Err(defect) => {
+                    let place = || format!("record {}", self.next);
+                    defect.apply(self.options.invalid, &mut self.skipped, &self.path, place)?;
+                }
+            }
+            self.next += 1;
+        }
+        Ok(())
+    }
+
     /// Errors unless the stream ends here.
     fn check_end(&mut self) -> Result<(), CloudError> {
         match read_up_to(&mut self.reader, &mut [0]) {
@@ -178,26 +212,10 @@ impl<R: Read + Send> SurfelSource for RawSource<R> {
                 ),
             ));
         }
-        for bytes in self.bytes[..read].chunks_exact(size) {
-            let normal = match self.wide_normals {
-                true => decode_octahedral(orientation_at(bytes)),
-                false => decode_octahedral24(orientation_at(bytes)),
-            };
-            let surfel = record_from_le_bytes(bytes, self.kind, normal, &self.options)
-                .and_then(|record| record.to_surfel(self.options.disk_overlap));
-            match surfel {
-                // The code itself, so that copying a stream changes no bit.
-                Ok(surfel) if !self.wide_normals => {
-                    out.push(Surfel { orientation: orientation_at(bytes), ..surfel });
-                }
-                Ok(surfel) => out.push(surfel),
-                Err(defect) => {
-                    let place = || format!("record {}", self.next);
-                    defect.apply(self.options.invalid, &mut self.skipped, &self.path, place)?;
-                }
-            }
-            self.next += 1;
-        }
+        let bytes = std::mem::take(&mut self.bytes);
+        let pushed = self.push_records(&bytes[..read], out);
+        self.bytes = bytes;
+        pushed?;
         let more = read == wanted && self.count != Some(self.next);
         if !more && self.count.is_some() {
             self.check_end()?;
@@ -332,6 +350,61 @@ fn orientation_at(record: &[u8]) -> u32 {
     u32::from_le_bytes(array_at(record, 20))
 }
 
+/// Appends the surfels of whole records if every one is a surfel as it stands; else appends none and returns `false`.
+fn push_sound(bytes: &[u8], kind: RawKind, options: &CloudOptions, out: &mut Vec<Surfel>) -> bool {
+    let first = out.len();
+    match kind {
+        RawKind::Full => out.extend(bytes.as_chunks().0.iter().map(full_from_le_bytes)),
+        RawKind::Compact => {
+            let albedo = options.default_albedo.map(f16::from_f32);
+            let surfel = |bytes| compact_from_le_bytes(bytes, albedo);
+            out.extend(bytes.as_chunks().0.iter().map(surfel));
+        }
+    }
+    let all_sound = out[first..].iter().fold(true, |all, surfel| all & is_sound(surfel));
+    if !all_sound {
+        out.truncate(first);
+    }
+    all_sound
+}
+
+fn full_from_le_bytes(bytes: &[u8; 44]) -> Surfel {
+    let f32_at = |at: usize| f32::from_le_bytes(array_at(bytes, at));
+    Surfel {
+        position: [f32_at(0), f32_at(4), f32_at(8)],
+        radius: f32_at(12),
+        area: f32_at(16),
+        orientation: orientation_at(bytes),
+        radiance: [f32_at(24), f32_at(28), f32_at(32)],
+        albedo: [36, 38, 40].map(|at| f16::from_le_bytes(array_at(bytes, at))),
+        flags: SurfelFlags(u16::from_le_bytes([bytes[42], bytes[43]])),
+    }
+}
+
+fn compact_from_le_bytes(bytes: &[u8; 32], albedo: [f16; 3]) -> Surfel {
+    let f32_at = |at: usize| f32::from_le_bytes(array_at(bytes, at));
+    let radiance_at = |at: usize| widen_radiance(u16::from_le_bytes(array_at(bytes, at)));
+    Surfel {
+        position: [f32_at(0), f32_at(4), f32_at(8)],
+        radius: f32_at(12),
+        area: f32_at(16),
+        orientation: orientation_at(bytes),
+        radiance: [radiance_at(24), radiance_at(26), radiance_at(28)],
+        albedo,
+        flags: SurfelFlags(u16::from_le_bytes([bytes[30], bytes[31]])),
+    }
+}
+
+/// The number of f16 bits, exactly; NaN for those that are no radiance: negative, infinite or NaN.
+///
+/// Exponent and mantissa keep their places in f32, whose exponent is biased by 112 more.
+#[inline]
+fn widen_radiance(bits: u16) -> f32 {
+    const BIAS: f32 = (1u128 << 112) as f32;
+    let wide = f32::from_bits(u32::from(bits) << 13) * BIAS;
+    if bits < f16::INFINITY.to_bits() { wide } else { f32::NAN }
+}
+
 fn record_from_le_bytes(
     bytes: &[u8],
     kind: RawKind,
@@ -345,7 +418,7 @@ fn record_from_le_bytes(
         RawKind::Full => ([24, 28, 32].map(f32_at), [36, 38, 40].map(f16_at)),
     };
     let flags = SurfelFlags(u16::from_le_bytes(array_at(bytes, bytes.len() - 2)));
-    if !SurfelFlags::ISOTROPIC.with(SurfelFlags::FRONT_ONLY).contains(flags) {
+    if !SurfelFlags::KNOWN.contains(flags) {
         return Err(Defect::Flags);
     }
     Ok(Record {
@@ -490,6 +563,29 @@ mod tests {
         let mut longer = bytes;
         longer.push(0);
         assert!(read_all(&longer).unwrap_err().to_string().contains("data follows the 3"));
+    }
+
+    #[test]
+    fn half_radiances_widen_exactly_or_not_at_all() {
+        for bits in 0..=u16::MAX {
+            let (wide, half) = (widen_radiance(bits), f16::from_bits(bits));
+            let is_radiance = half.is_finite() && half.is_sign_positive();
+            assert!(if is_radiance { wide == half.to_f32() } else { wide.is_nan() }, "{bits:#x}");
+        }
+    }
+
+    /// One doubtful record among sound ones changes nothing about those.
+    #[test]
+    fn sound_and_doubtful_records_agree() {
+        for kind in [RawKind::Full, RawKind::Compact] {
+            let surfels = surfels(50);
+            let sound = read_all(&stream_of(&surfels, kind, None)).unwrap();
+            let mut doubtful = surfels.clone();
+            doubtful.push(Surfel { area: 0.0, ..surfels[1] });
+            let read = read_all(&stream_of(&doubtful, kind, None)).unwrap();
+            assert_eq!(read[..50], sound);
+            assert_eq!(read[50].area, std::f32::consts::PI * 0.0625);
+        }
     }
 
     #[test]

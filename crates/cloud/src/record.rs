@@ -113,6 +113,22 @@ impl Record {
     }
 }
 
+/// Whether a surfel's fields are what [`Record::to_surfel`] would make of them, so that nothing is left to do.
+#[inline]
+pub(crate) fn is_sound(surfel: &Surfel) -> bool {
+    // Without branches: compilers turn it into vector code.
+    let known = (surfel.radius > 0.0) & (surfel.area >= f32::MIN_POSITIVE);
+    let unknown = (surfel.radius == 0.0) & (surfel.area == 0.0);
+    let sizes =
+        (known | unknown) & (surfel.radius <= MAGNITUDE_MAX) & (surfel.area < f32::INFINITY);
+    let places = surfel.position.iter().fold(true, |all, x| all & (x.abs() <= MAGNITUDE_MAX));
+    let light =
+        surfel.radiance.iter().fold(true, |all, l| all & (*l >= 0.0) & (*l < f32::INFINITY));
+    let one = f16::ONE.to_bits();
+    let albedo = surfel.albedo.iter().fold(true, |all, a| all & (a.to_bits() <= one));
+    sizes & places & light & albedo & (surfel.flags.0 & !SurfelFlags::KNOWN.0 == 0)
+}
+
 /// What makes a record invalid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Defect {

@@ -13,8 +13,16 @@ pub fn encode_octahedral(unit: Vec3) -> u32 {
     if unit.z < 0.0 {
         (u, v) = ((1.0 - v.abs()) * 1f32.copysign(u), (1.0 - u.abs()) * 1f32.copysign(v));
     }
-    let quantize = |x: f32| (x * 32767.0).round().clamp(-32767.0, 32767.0) as i16 as u16;
+    let quantize = |x: f32| round_small(x * 32767.0).clamp(-32767, 32767) as u16;
     u32::from(quantize(u)) | (u32::from(quantize(v)) << 16)
+}
+
+/// `x.round()` of numbers that fit an `i32`, 0 of NaN; without a call, so that loops over it become vector code.
+#[inline]
+fn round_small(x: f32) -> i32 {
+    let whole = x as i32;
+    let rest = x - whole as f32;
+    whole + i32::from(rest >= 0.5) - i32::from(rest <= -0.5)
 }
 
 /// Unit vector of an octahedral code; every code, also one never written, decodes to a unit vector.
@@ -42,7 +50,7 @@ pub fn encode_octahedral24(unit: Vec3) -> u32 {
     let wide = encode_octahedral(unit);
     let narrow = |bits: u32| {
         let x = f32::from(bits as u16 as i16) * (2047.0 / 32767.0);
-        (x.round() as i16 as u32) & 0xfff
+        (round_small(x) as u32) & 0xfff
     };
     narrow(wide) | (narrow(wide >> 16) << 12)
 }
@@ -74,6 +82,20 @@ mod tests {
         }
         assert!(worst.to_degrees() < 0.004, "{}°", worst.to_degrees());
         assert!(worst24.to_degrees() < 0.07, "{}°", worst24.to_degrees());
+    }
+
+    #[test]
+    fn small_numbers_are_rounded_away_from_zero_at_halves() {
+        let next = |x: f32, up: i32| f32::from_bits((x.to_bits() as i32 + up) as u32);
+        for half in -70_000..=70_000 {
+            for up in -2..=2 {
+                let x = next(half as f32 * 0.5, up);
+                if x.is_finite() {
+                    assert_eq!(round_small(x), x.round() as i32, "{x}");
+                }
+            }
+        }
+        assert_eq!(round_small(f32::NAN), 0);
     }
 
     #[test]
