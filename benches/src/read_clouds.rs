@@ -1,11 +1,12 @@
-//! How fast clouds are read: user time of nothing but reading, per file format, beside the raw stream's.
+//! How fast clouds are read: processor time of nothing but reading, per file format.
 //!
 //! `cargo run --release -p pbgi-benches --bin read_clouds`
 
 use anyhow::{Context, Result};
 use clap::Parser;
 use pbgi_cloud::{
-    CloudOptions, PlyWriter, RawKind, SliceSource, Surfel, open_cloud, write_raw_file,
+    CloudOptions, PlyWriter, PtcPoint, PtcWriter, RawKind, SliceSource, Surfel, open_cloud,
+    write_raw_file,
 };
 use pbgi_math::Vec3;
 use std::path::{Path, PathBuf};
@@ -16,17 +17,18 @@ struct Arguments {
     /// Surfels of each file, in millions.
     #[arg(long, default_value_t = 8)]
     millions: usize,
-    /// Rounds; the median of their user times counts.
+    /// Rounds; the median of their times counts.
     #[arg(long, default_value_t = 9)]
     rounds: usize,
 }
 
-/// One file and the user seconds its readings took.
+/// One file, and the seconds its readings took: in user code, and with what the system did for it.
 struct Subject {
     name: &'static str,
     path: PathBuf,
     bytes_per_surfel: f64,
-    seconds: Vec<f64>,
+    user: Vec<f64>,
+    total: Vec<f64>,
 }
 
 fn main() -> Result<()> {
@@ -36,27 +38,25 @@ fn main() -> Result<()> {
     let mut subjects = write_all(folder.path(), &surfels)?;
     for _ in 0..arguments.rounds {
         for subject in &mut subjects {
-            let before = user_seconds()?;
+            let before = seconds_used()?;
             let count = read(&subject.path)?;
-            subject.seconds.push(user_seconds()? - before);
+            let after = seconds_used()?;
+            subject.user.push(after[0] - before[0]);
+            subject.total.push(after[1] - before[1]);
             anyhow::ensure!(count == surfels.len(), "{}: {count} surfels", subject.name);
         }
     }
-    println!("{:<26} {:>8} {:>16} {:>7}   spread", "format", "bytes", "surfels/user-s", "to raw");
-    let rate = |seconds: f64| surfels.len() as f64 / seconds.max(1e-9) / 1e6;
-    let raw = rate(median(&mut subjects[0].seconds));
+    println!("millions of surfels per second of processor time: median (smallest to largest)");
+    println!("{:<24} {:>6}  {:<26} {:<26}", "format", "bytes", "in user code", "with the system's");
     for subject in &mut subjects {
-        let middle = rate(median(&mut subject.seconds));
-        let (fast, slow) = (subject.seconds[0], subject.seconds[subject.seconds.len() - 1]);
-        println!(
-            "{:<26} {:>8.1} {:>14.1} M {:>6.0} %   {:.1} to {:.1} M",
-            subject.name,
-            subject.bytes_per_surfel,
-            middle,
-            100.0 * middle / raw,
-            rate(slow),
-            rate(fast)
-        );
+        let [user, total] = [&mut subject.user, &mut subject.total].map(|seconds| {
+            seconds.sort_by(f64::total_cmp);
+            let rate = |at: usize| surfels.len() as f64 / seconds[at].max(1e-9) / 1e6;
+            let last = seconds.len() - 1;
+            format!("{:.1} ({:.1} to {:.1})", rate(last / 2), rate(last), rate(0))
+        });
+        let Subject { name, bytes_per_surfel, .. } = subject;
+        println!("{name:<24} {bytes_per_surfel:>6.1}  {user:<26} {total:<26}");
     }
     Ok(())
 }
@@ -87,7 +87,7 @@ fn surfels(count: usize) -> Vec<Surfel> {
         .collect()
 }
 
-/// The files to be read; the first is what the others are compared with.
+/// The files to be read.
 fn write_all(folder: &Path, surfels: &[Surfel]) -> Result<Vec<Subject>> {
     type Row = fn(&Surfel) -> Vec<f64>;
     let placed: Row =
@@ -138,24 +138,34 @@ fn write_all(folder: &Path, surfels: &[Surfel]) -> Result<Vec<Subject>> {
         writer.finish()?;
         paths.push((name, path));
     }
+    paths.push(("ptc, all", folder.join("ptc, all")));
+    let mut writer = PtcWriter::create(&paths[paths.len() - 1].1, true, true)?;
+    let mut points = surfels.iter().map(|s| PtcPoint {
+        position: s.center(),
+        normal: s.normal(),
+        radius: s.radius,
+        area: s.area,
+        radiance: s.radiance,
+        albedo: s.albedo_rgb(),
+    });
+    points.try_for_each(|point| writer.write(&[point]))?;
+    writer.finish()?;
     paths
         .into_iter()
         .map(|(name, path)| {
             let bytes = std::fs::metadata(&path)?.len();
             let bytes_per_surfel = bytes as f64 / surfels.len() as f64;
-            Ok(Subject { name, path, bytes_per_surfel, seconds: Vec::new() })
+            Ok(Subject { name, path, bytes_per_surfel, user: Vec::new(), total: Vec::new() })
         })
         .collect()
 }
 
-fn median(seconds: &mut [f64]) -> f64 {
-    seconds.sort_by(f64::total_cmp);
-    seconds[seconds.len() / 2]
-}
-
-/// User time of this process so far; the system counts it in ticks of 10 ms.
-fn user_seconds() -> Result<f64> {
+/// Seconds of this process so far, in user code and in all; the system counts them in ticks of 10 ms.
+fn seconds_used() -> Result<[f64; 2]> {
     let text = std::fs::read_to_string("/proc/self/stat")?;
-    let ticks = text.rsplit(')').next().and_then(|rest| rest.split_whitespace().nth(11));
-    Ok(ticks.context("no user time in /proc/self/stat")?.parse::<f64>()? * 0.01)
+    let fields = text.rsplit(')').next().context("no name in /proc/self/stat")?;
+    let ticks: Vec<f64> =
+        fields.split_whitespace().skip(11).take(2).map(str::parse).collect::<Result<_, _>>()?;
+    let [user, system] = ticks[..] else { anyhow::bail!("no times in /proc/self/stat") };
+    Ok([user * 0.01, (user + system) * 0.01])
 }

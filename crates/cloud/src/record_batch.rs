@@ -1,7 +1,7 @@
 //! Records by column: what [`Record::to_surfel`] does to one, done to hundreds by vector code.
 
 use crate::Surfel;
-use crate::record::{Defect, Record, is_sound};
+use crate::record::{Defect, MAGNITUDE_MAX, Record, are_sound_sizes};
 use crate::{CloudOptions, SurfelFlags};
 use half::f16;
 use half::slice::HalfFloatSliceExt;
@@ -31,6 +31,8 @@ pub(crate) struct RecordBatch {
     /// Whether normals and albedos are those of a file rather than constants.
     has_normals: bool,
     has_albedos: bool,
+    /// Radius and area, completed.
+    sizes: [[f32; 2]; BATCH_RECORDS],
     orientations: [u32; BATCH_RECORDS],
     flags: [SurfelFlags; BATCH_RECORDS],
     albedos: [[f16; BATCH_RECORDS]; 3],
@@ -48,6 +50,7 @@ impl RecordBatch {
             columns,
             has_normals: false,
             has_albedos: false,
+            sizes: [[0.0; 2]; BATCH_RECORDS],
             orientations: [encode_octahedral24(Vec3::Z); BATCH_RECORDS],
             flags: [SurfelFlags::ISOTROPIC; BATCH_RECORDS],
             albedos: options.default_albedo.map(|a| [f16::from_f32(a); BATCH_RECORDS]),
@@ -82,13 +85,11 @@ impl RecordBatch {
         out: &mut Vec<Surfel>,
         mut report: impl FnMut(usize, Defect) -> Result<(), E>,
     ) -> Result<(), E> {
-        let first = out.len();
-        let is_finite = self.encode_normals() & self.encode_albedos();
-        out.extend((0..self.len).map(|i| self.surfel(i, options.disk_overlap)));
-        if out[first..].iter().fold(is_finite, |all, surfel| all & is_sound(surfel)) {
+        let all_sound = self.encode_normals() & self.encode_albedos();
+        if all_sound & self.complete_sizes(options.disk_overlap) & self.check_numbers() {
+            out.extend((0..self.len).map(|i| self.surfel(i)));
             return Ok(());
         }
-        out.truncate(first);
         for index in 0..self.len {
             match self.record(index).to_surfel(options.disk_overlap) {
                 Ok(surfel) => out.push(surfel),
@@ -96,6 +97,35 @@ impl RecordBatch {
             }
         }
         Ok(())
+    }
+
+    /// Whether all places and all light are those of surfels.
+    fn check_numbers(&self) -> bool {
+        let all = |field: usize, is_sound: fn(f32) -> bool| {
+            self.columns[field..field + 3]
+                .iter()
+                .flat_map(|column| &column[..self.len])
+                .fold(true, |all, x| all & is_sound(*x))
+        };
+        all(field::POSITION, |x| x.abs() <= MAGNITUDE_MAX)
+            & all(field::RADIANCE, |l| (l >= 0.0) & (l < f32::INFINITY))
+    }
+
+    /// Derives sizes from each other where one is unknown; returns whether all are those of surfels.
+    fn complete_sizes(&mut self, disk_overlap: f32) -> bool {
+        let [radii, areas] = [field::RADIUS, field::AREA].map(|f| &self.columns[f][..self.len]);
+        let mut all_sound = true;
+        for ((radius, area), sizes) in radii.iter().zip(areas).zip(&mut self.sizes) {
+            let (radius, area) = (*radius, *area);
+            let disk_area = (PI * radius * radius / disk_overlap).max(f32::MIN_POSITIVE);
+            let square_radius = (area * 0.5).sqrt();
+            let complete_radius =
+                if (radius == 0.0) & (area > 0.0) { square_radius } else { radius };
+            let complete_area = if (area == 0.0) & (radius > 0.0) { disk_area } else { area };
+            *sizes = [complete_radius, complete_area];
+            all_sound &= are_sound_sizes(complete_radius, complete_area);
+        }
+        all_sound
     }
 
     /// Codes of all normals; returns whether all are finite.
@@ -138,17 +168,15 @@ impl RecordBatch {
         all_finite
     }
 
-    /// The surfel of a record; no sound one where sizes, place or light are not.
+    /// The surfel of a record, once all codes and sizes are known.
     #[inline]
-    fn surfel(&self, i: usize, disk_overlap: f32) -> Surfel {
+    fn surfel(&self, i: usize) -> Surfel {
         let triple = |field: usize| [0, 1, 2].map(|k| self.columns[field + k][i]);
-        let (radius, area) = (self.columns[field::RADIUS][i], self.columns[field::AREA][i]);
-        let disk_area = (PI * radius * radius / disk_overlap).max(f32::MIN_POSITIVE);
-        let square_radius = (area * 0.5).sqrt();
+        let [radius, area] = self.sizes[i];
         Surfel {
             position: triple(field::POSITION),
-            radius: if (radius == 0.0) & (area > 0.0) { square_radius } else { radius },
-            area: if (area == 0.0) & (radius > 0.0) { disk_area } else { area },
+            radius,
+            area,
             orientation: self.orientations[i],
             radiance: triple(field::RADIANCE),
             albedo: [0, 1, 2].map(|k| self.albedos[k][i]),
