@@ -108,7 +108,7 @@ impl RecordBatch {
                 .fold(true, |all, x| all & is_sound(*x))
         };
         all(field::POSITION, |x| x.abs() <= MAGNITUDE_MAX)
-            & all(field::RADIANCE, |l| (l >= 0.0) & (l < f32::INFINITY))
+            & all(field::RADIANCE, |l| (0.0..f32::INFINITY).contains(&l))
     }
 
     /// Derives sizes from each other where one is unknown; returns whether all are those of surfels.
