@@ -1,6 +1,6 @@
 //! Several clouds as one.
 
-use crate::{CloudError, Surfel, SurfelSource};
+use crate::{CloudError, LeftOut, Surfel, SurfelSource};
 use pbgi_math::{Aabb, DVec3, Vec3};
 use std::collections::VecDeque;
 
@@ -10,8 +10,9 @@ pub struct ConcatSource<'a> {
     origin: DVec3,
     bounds: Option<Aabb>,
     count: Option<u64>,
-    /// Records dropped by sources already read to their end.
+    /// Records dropped and left out by sources already read to their end.
     skipped: u64,
+    left_out: LeftOut,
 }
 
 impl<'a> ConcatSource<'a> {
@@ -24,7 +25,8 @@ impl<'a> ConcatSource<'a> {
         });
         let count =
             sources.iter().try_fold(0u64, |sum, s| s.count().and_then(|c| sum.checked_add(c)));
-        Self { sources: sources.into(), origin, bounds, count, skipped: 0 }
+        let (skipped, left_out) = (0, LeftOut::default());
+        Self { sources: sources.into(), origin, bounds, count, skipped, left_out }
     }
 }
 
@@ -70,6 +72,10 @@ impl SurfelSource for ConcatSource<'_> {
         self.skipped + self.sources.iter().map(|s| s.skipped()).sum::<u64>()
     }
 
+    fn left_out(&self) -> LeftOut {
+        self.sources.iter().fold(self.left_out, |sum, source| sum.plus(source.left_out()))
+    }
+
     fn read_chunk(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
         let Some(source) = self.sources.front_mut() else { return Ok(false) };
         let start = out.len();
@@ -80,6 +86,7 @@ impl SurfelSource for ConcatSource<'_> {
         }
         if !more {
             self.skipped += source.skipped();
+            self.left_out = self.left_out.plus(source.left_out());
             self.sources.pop_front();
         }
         Ok(!self.sources.is_empty())
@@ -105,6 +112,9 @@ mod tests {
         }
         fn skipped(&self) -> u64 {
             3
+        }
+        fn left_out(&self) -> LeftOut {
+            LeftOut { by_class: 2, withheld: 5 }
         }
         fn read_chunk(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
             self.0.read_chunk(out)
@@ -135,6 +145,7 @@ mod tests {
         assert_eq!(surfels[0].position, [1.0, 2.0, 3.0]);
         assert_eq!(surfels[5000].position, [9.0, 10.5, 10.0]);
         assert_eq!(all.skipped(), 9);
+        assert_eq!(all.left_out(), LeftOut { by_class: 6, withheld: 15 });
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use crate::las_decoder::LasDecoder;
 use crate::record::{Defect, Record, srgb_to_linear};
 use crate::source::CHUNK_SURFELS;
-use crate::{CloudError, CloudOptions, InvalidPolicy, Surfel, SurfelSource};
+use crate::{CloudError, CloudOptions, InvalidPolicy, LeftOut, Surfel, SurfelSource};
 use las::{Header, PointData};
 use pbgi_math::{DVec3, Vec3};
 use std::path::{Path, PathBuf};
@@ -21,8 +21,8 @@ const INTENSITY_ALBEDO: f32 = 0.9;
 /// The origin is the center of the header's box, rounded to whole units. Albedo comes from RGB,
 /// read as sRGB; 16 bits per channel, or 8 where the first 65,536 points nowhere exceed 255.
 /// Without RGB it is gray and proportional to intensity, 0.9 at the 99th percentile of those
-/// points; without intensity it is [`CloudOptions::default_albedo`]. Points of
-/// [`CloudOptions::skip_classes`] are left out.
+/// points; without intensity it is [`CloudOptions::default_albedo`]. Withheld points, and those whose class
+/// [`CloudOptions::classes`] does not keep, are left out. A COPC file is a LAZ file with its points in another order.
 ///
 /// Headers often lie about the box, so [`SurfelSource::bounds`] is unknown.
 pub struct LasPoints {
@@ -34,16 +34,16 @@ pub struct LasPoints {
     /// Points decoded so far.
     next: u64,
     skipped: u64,
-    left_out: u64,
-    color: Color,
+    left_out: LeftOut,
+    /// Unknown before the first read.
+    color: Option<Color>,
     points: PointData,
 }
 
 /// How albedo is found.
-#[derive(Clone, Copy, Debug, PartialEq)]
 enum Color {
-    /// sRGB-encoded, this value being white.
-    Rgb { white: f32 },
+    /// sRGB-encoded: the linear value of each code.
+    Rgb { linear: Vec<f32> },
     /// Proportional to intensity.
     Intensity { albedo_per_unit: f32 },
     /// Nothing is known.
@@ -51,23 +51,12 @@ enum Color {
 }
 
 impl LasPoints {
-    /// Opens the file, checks its header against its length, and looks at its first points.
+    /// Opens the file and checks its header against its length.
     ///
     /// # Errors
     ///
     /// If the file cannot be read or is no valid LAS or LAZ file.
     pub fn open(path: &Path, options: &CloudOptions) -> Result<Self, CloudError> {
-        let mut points = Self::open_start(path, options)?;
-        points.color = points.probe_color()?;
-        if points.next > 0 {
-            let color = points.color;
-            points = Self::open_start(path, options)?;
-            points.color = color;
-        }
-        Ok(points)
-    }
-
-    fn open_start(path: &Path, options: &CloudOptions) -> Result<Self, CloudError> {
         let (decoder, header) = LasDecoder::open(path)?;
         Ok(Self {
             decoder,
@@ -77,16 +66,22 @@ impl LasPoints {
             point_count: header.number_of_points(),
             next: 0,
             skipped: 0,
-            left_out: 0,
-            color: Color::Default,
+            left_out: LeftOut::default(),
+            color: None,
             points: las::PointDataBuilder::new().for_header(&header).build(),
         })
     }
 
-    /// Points left out so far because of their class.
-    #[must_use]
-    pub fn left_out(&self) -> u64 {
-        self.left_out
+    /// Looks at the first points, once, and stands at the first again.
+    fn find_color(&mut self) -> Result<(), CloudError> {
+        if self.color.is_none() {
+            self.color = Some(self.probe_color()?);
+            if self.next > 0 {
+                (self.decoder, _) = LasDecoder::open(&self.path)?;
+                self.next = 0;
+            }
+        }
+        Ok(())
     }
 
     /// Decodes the next points into `self.points`, at most `count`; returns their number.
@@ -111,7 +106,9 @@ impl LasPoints {
             intensities.extend(self.points.intensity());
         }
         if brightest > 0 {
-            return Ok(Color::Rgb { white: if brightest > 255 { 65535.0 } else { 255.0 } });
+            let white = if brightest > 255 { 65535u16 } else { 255 };
+            let linear = |code| srgb_to_linear(f32::from(code) / f32::from(white));
+            return Ok(Color::Rgb { linear: (0..=white).map(linear).collect() });
         }
         let rank = intensities.len() * 99 / 100;
         if rank == 0 {
@@ -129,18 +126,26 @@ impl LasPoints {
         let points = &self.points;
         let mut colors = points.rgb();
         let places = points.x().zip(points.y()).zip(points.z());
-        let attributes = points.classification().zip(points.intensity());
-        for (index, (((x, y), z), (class, intensity))) in places.zip(attributes).enumerate() {
+        let records = points.raw_bytes().chunks_exact(points.record_len().max(1));
+        let marks = records.map(|record| is_withheld(record, points.format().is_extended));
+        let attributes = points.classification().zip(points.intensity()).zip(marks);
+        for (index, (((x, y), z), ((class, intensity), withheld))) in
+            places.zip(attributes).enumerate()
+        {
             let rgb = colors.as_mut().and_then(Iterator::next);
-            if self.options.skip_classes.contains(&class) {
-                self.left_out += 1;
+            if withheld {
+                self.left_out.withheld += 1;
                 continue;
             }
-            let albedo = match (self.color, rgb) {
-                (Color::Rgb { white }, Some((r, g, b))) => {
-                    [r, g, b].map(|c| srgb_to_linear((f32::from(c) / white).min(1.0)))
+            if !self.options.classes.keeps(class) {
+                self.left_out.by_class += 1;
+                continue;
+            }
+            let albedo = match (&self.color, rgb) {
+                (Some(Color::Rgb { linear }), Some((r, g, b))) => {
+                    [r, g, b].map(|code| linear[usize::from(code).min(linear.len() - 1)])
                 }
-                (Color::Intensity { albedo_per_unit }, _) => {
+                (Some(Color::Intensity { albedo_per_unit }), _) => {
                     [f32::from(intensity) * albedo_per_unit; 3]
                 }
                 _ => self.options.default_albedo,
@@ -162,6 +167,12 @@ impl LasPoints {
     }
 }
 
+/// Whether a point is marked as deleted: bit 7 of byte 15 before point format 6, bit 2 since.
+fn is_withheld(record: &[u8], is_extended: bool) -> bool {
+    let mask = if is_extended { 0b100 } else { 0x80 };
+    record.get(15).is_some_and(|flags| flags & mask != 0)
+}
+
 fn report(
     defect: Defect,
     policy: InvalidPolicy,
@@ -181,7 +192,12 @@ impl SurfelSource for LasPoints {
         self.skipped
     }
 
+    fn left_out(&self) -> LeftOut {
+        self.left_out
+    }
+
     fn read_chunk(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
+        self.find_color()?;
         let first = self.next;
         if self.decode(CHUNK_SURFELS as u64)? > 0 {
             self.push_points(first, out)?;
@@ -205,6 +221,7 @@ fn origin_of(header: &Header) -> DVec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ClassFilter;
     use las::point::Format;
     use las::{Builder, Point, Writer};
 
@@ -247,7 +264,8 @@ mod tests {
         let mut source = LasPoints::open(file.path(), &CloudOptions::default())?;
         let mut out = Vec::new();
         while source.read_chunk(&mut out)? {}
-        assert_eq!(source.left_out() + source.skipped() + out.len() as u64, source.point_count);
+        let seen = source.left_out().total() + source.skipped() + out.len() as u64;
+        assert_eq!(seen, source.point_count);
         Ok((source.origin(), out))
     }
 
@@ -266,6 +284,89 @@ mod tests {
             assert!((world - DVec3::new(point.x, point.y, point.z)).length() < 0.02);
             assert!(surfel.is_isotropic() && surfel.radius == 0.0 && surfel.area == 0.0);
             assert!((surfel.albedo_rgb()[0] - 0.99).abs() < 0.01);
+        }
+    }
+
+    #[test]
+    fn withheld_points_and_unwanted_classes_are_left_out() {
+        let mut points = points(80, 0xff00);
+        points.iter_mut().step_by(10).for_each(|point| point.is_withheld = true);
+        for (format, version) in [(2, (1, 2)), (7, (1, 4))] {
+            let file = tempfile::NamedTempFile::new().unwrap();
+            std::fs::write(file.path(), file_of(&points, format, version, true)).unwrap();
+            let count = |classes: ClassFilter| {
+                let options = CloudOptions { classes, ..CloudOptions::default() };
+                let mut source = LasPoints::open(file.path(), &options).unwrap();
+                let mut out = Vec::new();
+                while source.read_chunk(&mut out).unwrap() {}
+                (out.len(), source.left_out().by_class, source.left_out().withheld)
+            };
+            // Withheld are 0, 10, 20 … of classes 0, 2, 4, 6, twice each.
+            assert_eq!(count(ClassFilter::default()), (62, 10, 8));
+            assert_eq!(count(ClassFilter::Only(vec![2, 6])), (16, 56, 8));
+            assert_eq!(count(ClassFilter::Skip(Vec::new())), (72, 0, 8));
+        }
+    }
+
+    /// A COPC file begins with a record of its own, cuts its points into chunks of any length, and has its hierarchy
+    /// behind them.
+    fn copc_file_of(points: &[Point], chunks: &[usize]) -> Vec<u8> {
+        let plain = file_of(points, 7, (1, 4), false);
+        let (mut header, records) = (plain[..375].to_vec(), &plain[375..]);
+        let point_bytes = records.len() / points.len();
+        let items = laz::LazItemRecordBuilder::default_for_point_format_id(7, 0).unwrap();
+        let vlr = laz::LazVlrBuilder::new(items).with_variable_chunk_size().build();
+        let mut laszip = Vec::new();
+        vlr.write_to(&mut laszip).unwrap();
+        let mut record = |user: &str, id: u16, data: &[u8]| {
+            header.extend([0; 2]);
+            header.extend(user.bytes().chain(std::iter::repeat(0)).take(16));
+            header.extend(id.to_le_bytes());
+            header.extend((data.len() as u16).to_le_bytes());
+            header.extend([0; 32]);
+            header.extend(data);
+        };
+        record("copc", 1, &[0; 160]);
+        record("laszip encoded", 22204, &laszip);
+        let offset = header.len() as u32;
+        header[96..100].copy_from_slice(&offset.to_le_bytes());
+        header[100..104].copy_from_slice(&2u32.to_le_bytes());
+        header[104] |= 0x80;
+        let mut file = std::io::Cursor::new(header);
+        file.set_position(offset.into());
+        let mut compressor = laz::LasZipCompressor::new(&mut file, vlr).unwrap();
+        let mut rest = records;
+        for count in chunks {
+            let (chunk, later) = rest.split_at(count * point_bytes);
+            compressor.compress_many(chunk).unwrap();
+            compressor.finish_current_chunk().unwrap();
+            rest = later;
+        }
+        compressor.done().unwrap();
+        drop(compressor);
+        let mut bytes = file.into_inner();
+        // One extended record, as the hierarchy is.
+        let end = bytes.len() as u64;
+        bytes[235..243].copy_from_slice(&end.to_le_bytes());
+        bytes[243..247].copy_from_slice(&1u32.to_le_bytes());
+        bytes.extend([0; 60 + 32]);
+        bytes
+    }
+
+    #[test]
+    fn copc_files_are_read_like_laz_files() {
+        let points = points(1000, 0xff00);
+        let expected = read(&file_of(&points, 7, (1, 4), true)).unwrap();
+        let bytes = copc_file_of(&points, &[1, 499, 30, 470]);
+        assert!(read(&bytes).unwrap() == expected);
+        for at in (0..bytes.len()).step_by(3) {
+            let mut damaged = bytes.clone();
+            damaged[at] ^= 0xff;
+            let _ = read(&damaged);
+        }
+        // What lies behind the points is not needed.
+        for length in (0..bytes.len() - 200).step_by(7) {
+            assert!(read(&bytes[..length]).is_err(), "{length}");
         }
     }
 
@@ -330,7 +431,7 @@ mod tests {
             }
         }
         println!("{count} points in {:?}, origin {}", start.elapsed(), source.origin());
-        assert_eq!(count + source.left_out(), 2_163_989);
+        assert_eq!(count + source.left_out().total(), 2_163_989);
         let extent = bounds.extent();
         assert!((extent.x - 1800.0).abs() < 2.0 && (extent.y - 1800.0).abs() < 2.0);
         assert!(bounds.center().truncate().length() < 2.0);

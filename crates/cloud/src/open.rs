@@ -1,12 +1,13 @@
 //! Opening a cloud by its name.
 
+use crate::ptc::PTC_MAGIC;
 use crate::raw::RAW_MAGIC;
-use crate::{CloudError, CloudOptions, LasPoints, PlyPoints, RawSource, SurfelSource};
+use crate::{CloudError, CloudOptions, LasPoints, PlyPoints, PtcPoints, RawSource, SurfelSource};
 use std::fs::File;
-use std::io::Read;
+use std::io::{BufReader, Read};
 use std::path::Path;
 
-/// Opens a PLY, LAS, LAZ or raw surfel file, told apart by their first bytes; `-` is a raw surfel
+/// Opens a PLY, LAS, LAZ, PTC or raw surfel file, told apart by their first bytes; `-` is a raw surfel
 /// stream on standard input.
 ///
 /// # Errors
@@ -25,15 +26,19 @@ pub fn open_cloud(
         .read_to_end(&mut start)
         .map_err(|e| CloudError::io(path, "read", e))?;
     if start == RAW_MAGIC {
-        Ok(Box::new(RawSource::open(path, options)?))
+        let file = File::open(path).map_err(|e| CloudError::io(path, "open", e))?;
+        let reader = BufReader::with_capacity(1 << 18, file);
+        Ok(Box::new(RawSource::new(reader, path, options)?))
     } else if start.starts_with(b"LASF") {
         Ok(Box::new(LasPoints::open(path, options)?))
     } else if start.starts_with(b"ply") {
         Ok(Box::new(PlyPoints::open(path, options)?))
+    } else if start.starts_with(&PTC_MAGIC) {
+        Ok(Box::new(PtcPoints::open(path, options)?))
     } else {
         Err(CloudError::malformed(
             path,
-            "not a point cloud this engine reads: expected PLY, LAS, LAZ, or a raw surfel stream",
+            "not a point cloud this engine reads: expected PLY, LAS, LAZ, PTC, or a raw surfel stream",
         ))
     }
 }
@@ -54,7 +59,9 @@ mod tests {
             property float z\nend_header\n";
         std::fs::write(&path, ply).unwrap();
         assert_eq!(open_cloud(&path, &options).unwrap().count(), Some(0));
-        for (bytes, expected) in [("LASF", "not a LAS file"), ("", "not a point cloud")] {
+        for (bytes, expected) in
+            [("LASF", "not a LAS file"), ("pptc", "ends in its header"), ("", "not a point cloud")]
+        {
             std::fs::write(&path, bytes).unwrap();
             let Err(error) = open_cloud(&path, &options) else { panic!("{bytes} was opened") };
             assert!(error.to_string().contains(expected), "{error}");

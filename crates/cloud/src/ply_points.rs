@@ -1,12 +1,10 @@
 //! Point clouds in PLY files as streams of surfels.
 
-use crate::record::{Record, srgb_to_linear, srgb8_table};
+use crate::ply_columns::{BinaryRows, PlyColumns};
+use crate::record_batch::{BATCH_RECORDS, RecordBatch};
 use crate::source::CHUNK_SURFELS;
-use crate::{
-    CloudError, CloudOptions, PlyElement, PlyFormat, PlyKind, PlyReader, PlyRow, PlyType, Surfel,
-    SurfelSource,
-};
-use pbgi_math::{DVec3, Vec3};
+use crate::{CloudError, CloudOptions, PlyFormat, PlyReader, PlyRow, Surfel, SurfelSource};
+use pbgi_math::DVec3;
 use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
@@ -26,7 +24,8 @@ use std::path::{Path, PathBuf};
 pub struct PlyPoints {
     reader: PlyReader<BufReader<File>>,
     path: PathBuf,
-    columns: Columns,
+    columns: PlyColumns,
+    batch: RecordBatch,
     options: CloudOptions,
     origin: DVec3,
     count: u64,
@@ -44,17 +43,17 @@ impl PlyPoints {
     ///
     /// If the file cannot be read, is no PLY file, or has no vertex positions.
     pub fn open(path: &Path, options: &CloudOptions) -> Result<Self, CloudError> {
-        let mut points = Self::open_at(path, options, DVec3::ZERO)?;
-        let is_double = points.columns.position.iter().any(|c| c.ty == PlyType::F64);
-        if is_double && let Some(position) = points.first_position()? {
-            points = Self::open_at(path, options, position.round())?;
-        } else if is_double {
-            points = Self::open_at(path, options, DVec3::ZERO)?;
+        let mut points = Self::open_start(path, options)?;
+        if points.columns.has_double_positions() {
+            let first = points.first_position()?;
+            points = Self::open_start(path, options)?;
+            points.origin = first.map_or(DVec3::ZERO, DVec3::round);
+            points.columns.set_origin(points.origin);
         }
         Ok(points)
     }
 
-    fn open_at(path: &Path, options: &CloudOptions, origin: DVec3) -> Result<Self, CloudError> {
+    fn open_start(path: &Path, options: &CloudOptions) -> Result<Self, CloudError> {
         let mut reader = open_ply(path)?;
         if !reader.seek_element("vertex")? {
             return Err(CloudError::malformed(path, "no element `vertex`; not a point cloud"));
@@ -62,7 +61,7 @@ impl PlyPoints {
         let format = reader.header().format;
         let element = reader.element().expect("seek_element found it");
         let columns =
-            Columns::of(element).map_err(|message| CloudError::malformed(path, message))?;
+            PlyColumns::of(element).map_err(|message| CloudError::malformed(path, message))?;
         let stride = match format {
             PlyFormat::Ascii => None,
             _ => element.stride_bytes().map(|s| (s, format == PlyFormat::BinaryBigEndian)),
@@ -72,8 +71,9 @@ impl PlyPoints {
             reader,
             path: path.to_owned(),
             columns,
+            batch: RecordBatch::new(options),
             options: options.clone(),
-            origin,
+            origin: DVec3::ZERO,
             count,
             skipped: 0,
             stride,
@@ -88,27 +88,16 @@ impl PlyPoints {
         if !self.reader.read_row(&mut row)? {
             return Ok(None);
         }
-        let position = DVec3::from_array(self.columns.position.map(|c| row.scalar(c.index)));
-        Ok(Some(position).filter(|p| p.is_finite()))
+        Ok(Some(self.columns.position(&row)).filter(|p| p.is_finite()))
     }
 
-    /// Appends the surfel that `value` reads from the current row.
-    #[inline]
-    fn push(
-        &mut self,
-        row_index: u64,
-        value: impl Fn(Column) -> f64,
-        out: &mut Vec<Surfel>,
-    ) -> Result<(), CloudError> {
-        let record = self.columns.record(self.origin, self.options.default_albedo, value);
-        match record.to_surfel(self.options.disk_overlap) {
-            Ok(surfel) => out.push(surfel),
-            Err(defect) => {
-                let place = || format!("vertex row {row_index}");
-                defect.apply(self.options.invalid, &mut self.skipped, &self.path, place)?;
-            }
-        }
-        Ok(())
+    /// Appends the surfels of the batch, whose first record is the row `first`.
+    fn push_batch(&mut self, first: u64, out: &mut Vec<Surfel>) -> Result<(), CloudError> {
+        let Self { batch, options, skipped, path, .. } = self;
+        batch.push_surfels(options, out, |index, defect| {
+            let place = || format!("vertex row {}", first + index as u64);
+            defect.apply(options.invalid, skipped, path, place)
+        })
     }
 
     fn read_fixed(
@@ -118,27 +107,30 @@ impl PlyPoints {
         out: &mut Vec<Surfel>,
     ) -> Result<bool, CloudError> {
         let mut bytes = std::mem::take(&mut self.bytes);
-        let first = self.reader.row_index();
-        let rows = self.reader.fill_rows(CHUNK_SURFELS, &mut bytes)?;
-        for (row, row_bytes) in bytes.chunks_exact(stride).enumerate() {
-            let value = |c: Column| c.ty.decode(&row_bytes[c.offset..], big_endian);
-            self.push(first + row as u64, value, out)?;
+        let mut row = self.reader.row_index();
+        self.reader.fill_rows(CHUNK_SURFELS, &mut bytes)?;
+        for bytes in bytes.chunks(BATCH_RECORDS * stride) {
+            self.batch.set_len(bytes.len() / stride);
+            self.columns.read_binary(&BinaryRows { bytes, stride, big_endian }, &mut self.batch);
+            self.push_batch(row, out)?;
+            row += (bytes.len() / stride) as u64;
         }
         self.bytes = bytes;
-        Ok(rows > 0 && self.reader.row_index() < self.count)
+        Ok(row < self.count)
     }
 
     fn read_rows(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
         let mut row = std::mem::take(&mut self.row);
-        for _ in 0..CHUNK_SURFELS {
-            let index = self.reader.row_index();
-            if !self.reader.read_row(&mut row)? {
-                return Ok(false);
-            }
-            self.push(index, |c| row.scalar(c.index), out)?;
+        let (first, mut len) = (self.reader.row_index(), 0);
+        while len < BATCH_RECORDS && self.reader.read_row(&mut row)? {
+            self.batch.set_len(len + 1);
+            self.columns.read_row(&row, len, &mut self.batch);
+            len += 1;
         }
         self.row = row;
-        Ok(true)
+        self.batch.set_len(len);
+        self.push_batch(first, out)?;
+        Ok(len == BATCH_RECORDS)
     }
 }
 
@@ -169,113 +161,11 @@ pub(crate) fn open_ply(path: &Path) -> Result<PlyReader<BufReader<File>>, CloudE
     PlyReader::new(BufReader::with_capacity(1 << 18, file), path)
 }
 
-/// A scalar column: where it lies in a row.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Column {
-    pub index: usize,
-    /// Bytes before it in a binary row; meaningful for rows of fixed stride only.
-    pub offset: usize,
-    pub ty: PlyType,
-}
-
-impl Column {
-    /// The scalar column `name`.
-    pub fn find(element: &PlyElement, name: &str) -> Option<Self> {
-        let mut offset = 0;
-        for (index, property) in element.properties.iter().enumerate() {
-            match property.kind {
-                PlyKind::Scalar(ty) if property.name == name => {
-                    return Some(Self { index, offset, ty });
-                }
-                PlyKind::Scalar(ty) => offset += ty.size_bytes(),
-                PlyKind::List { .. } => {}
-            }
-        }
-        None
-    }
-
-    /// Three scalar columns: the first of `names` that is complete.
-    pub fn find_triple(element: &PlyElement, names: &[[&str; 3]]) -> Option<[Self; 3]> {
-        names.iter().find_map(|triple| {
-            let [a, b, c] = triple.map(|name| Self::find(element, name));
-            Some([a?, b?, c?])
-        })
-    }
-}
-
-/// Names of normals.
-pub(crate) const NORMAL_NAMES: [[&str; 3]; 2] =
-    [["nx", "ny", "nz"], ["normal_x", "normal_y", "normal_z"]];
-
-/// The columns a surfel is read from.
-struct Columns {
-    position: [Column; 3],
-    normal: Option<[Column; 3]>,
-    radius: Option<Column>,
-    area: Option<Column>,
-    albedo: Option<[Column; 3]>,
-    radiance: Option<[Column; 3]>,
-    srgb8: Box<[f32; 256]>,
-}
-
-impl Columns {
-    fn of(element: &PlyElement) -> Result<Self, String> {
-        let position = Column::find_triple(element, &[["x", "y", "z"]])
-            .ok_or("vertices have no columns `x`, `y`, `z`")?;
-        const COLORS: [[&str; 3]; 4] = [
-            ["albedo_r", "albedo_g", "albedo_b"],
-            ["red", "green", "blue"],
-            ["diffuse_red", "diffuse_green", "diffuse_blue"],
-            ["r", "g", "b"],
-        ];
-        Ok(Self {
-            position,
-            normal: Column::find_triple(element, &NORMAL_NAMES),
-            radius: Column::find(element, "radius"),
-            area: Column::find(element, "area"),
-            albedo: Column::find_triple(element, &COLORS),
-            radiance: Column::find_triple(element, &[["radiance_r", "radiance_g", "radiance_b"]]),
-            srgb8: Box::new(srgb8_table()),
-        })
-    }
-
-    #[inline]
-    fn record(
-        &self,
-        origin: DVec3,
-        default_albedo: [f32; 3],
-        value: impl Fn(Column) -> f64,
-    ) -> Record {
-        let triple = |columns: Option<[Column; 3]>| columns.map(|c| c.map(|c| value(c) as f32));
-        let scalar = |column: Option<Column>| column.map_or(0.0, |c| value(c) as f32);
-        Record {
-            position: (DVec3::from_array(self.position.map(&value)) - origin).as_vec3(),
-            normal: Vec3::from_array(triple(self.normal).unwrap_or_default()),
-            radius: scalar(self.radius),
-            area: scalar(self.area),
-            radiance: triple(self.radiance).unwrap_or_default(),
-            albedo: self
-                .albedo
-                .map_or(default_albedo, |c| c.map(|c| self.linear_albedo(c.ty, value(c)))),
-            flags: Default::default(),
-        }
-    }
-
-    /// Linear albedo of a color value: floats are linear, integers sRGB-encoded over their range.
-    fn linear_albedo(&self, ty: PlyType, value: f64) -> f32 {
-        match ty {
-            PlyType::F32 | PlyType::F64 => value as f32,
-            PlyType::U16 => srgb_to_linear(value as f32 / 65535.0),
-            // Signed and wide integers hold 8-bit codes in the files that use them.
-            _ => self.srgb8[(value.clamp(0.0, 255.0)) as usize],
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::InvalidPolicy;
+    use pbgi_math::Vec3;
 
     fn read_all(source: &mut dyn SurfelSource) -> Result<Vec<Surfel>, CloudError> {
         let mut surfels = Vec::new();

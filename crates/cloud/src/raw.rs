@@ -6,11 +6,12 @@
 //! | offset | bytes | field |
 //! |---|---|---|
 //! | 0 | 8 | magic `PBGISURF` |
-//! | 8 | 4 | version, u32: 2, or 1 |
+//! | 8 | 4 | version, u32: 3, 2 or 1 |
 //! | 12 | 4 | record kind, u32: 1 or 2 |
 //! | 16 | 8 | number of records, u64; 2⁶⁴ − 1 where unknown |
 //! | 24 | 24 | world position of the coordinate origin, 3 × f64, finite |
-//! | 48 | 16 | reserved, zero |
+//! | 48 | 12 | smallest corner of a cube that holds all positions, 3 × f32; before version 3 zero |
+//! | 60 | 4 | edge of that cube, f32; 0 where it is unknown |
 //!
 //! | kind 1, 32 bytes | kind 2, 44 bytes | bytes | field |
 //! |---|---|---|---|
@@ -23,28 +24,26 @@
 //! | – | 36 | 6 | albedo, 3 × f16, finite |
 //! | 30 | 42 | 2 | flags, u16: 1 isotropic, 2 front only; other bits zero |
 //!
-//! The orientation of version 2 is that of a [`Surfel`]: the normal, octahedral, two 12-bit signed normalized numbers; in
+//! The orientation of versions 2 and 3 is that of a [`Surfel`]: the normal, octahedral, two 12-bit signed normalized numbers; in
 //! bits 24–31 the direction of the long edge of a rectangle with half the diagonal `radius` ([`pbgi_math::TileCode`]), or 0.
 //! That of version 1 is the normal alone, in two 16-bit numbers; such streams are read, not written.
 
-use crate::record::{Defect, MAGNITUDE_MAX, Record};
+use crate::record::{Defect, Record, is_sound};
 use crate::source::CHUNK_SURFELS;
 use crate::{AtomicFile, CloudError, CloudOptions, Surfel, SurfelFlags, SurfelSource};
 use half::f16;
 use pbgi_math::{Aabb, DVec3, Vec3, decode_octahedral, decode_octahedral24};
-use rayon::prelude::*;
-use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom, Write};
-use std::ops::Range;
-use std::os::unix::fs::FileExt;
+use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 /// First bytes of a raw surfel stream.
 pub const RAW_MAGIC: [u8; 8] = *b"PBGISURF";
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
+const VERSION_WITHOUT_CUBE: u32 = 2;
 const VERSION_WIDE_NORMALS: u32 = 1;
 const HEADER_BYTES: usize = 64;
 const COUNT_OFFSET: u64 = 16;
+const CUBE_OFFSET: usize = 48;
 const COUNT_UNKNOWN: u64 = u64::MAX;
 
 /// What a raw record holds.
@@ -74,104 +73,16 @@ impl RawKind {
     }
 }
 
-/// How the records of a stream become surfels.
-struct Decoder {
-    kind: RawKind,
-    wide_normals: bool,
-    options: CloudOptions,
-}
-
-impl Decoder {
-    /// The surfel of a record.
-    #[inline]
-    fn surfel(&self, bytes: &[u8]) -> Result<Surfel, Defect> {
-        if !self.wide_normals
-            && let Some(surfel) = self.plain_surfel(bytes)
-        {
-            return Ok(surfel);
-        }
-        let normal = match self.wide_normals {
-            true => decode_octahedral(orientation_at(bytes)),
-            false => decode_octahedral24(orientation_at(bytes)),
-        };
-        let surfel = record_from_le_bytes(bytes, self.kind, normal, &self.options)
-            .and_then(|record| record.to_surfel(self.options.disk_overlap))?;
-        // The code itself, so that copying a stream changes no bit.
-        let kept = if self.wide_normals { surfel.orientation } else { orientation_at(bytes) };
-        Ok(Surfel { orientation: kept, ..surfel })
-    }
-
-    /// The surfel of a record that needs neither repair nor anything derived; `None` for all others.
-    #[inline]
-    fn plain_surfel(&self, bytes: &[u8]) -> Option<Surfel> {
-        let f32_at = |at: usize| f32::from_le_bytes(array_at(bytes, at));
-        let u16_at = |at: usize| u16::from_le_bytes(array_at(bytes, at));
-        let position = [f32_at(0), f32_at(4), f32_at(8)];
-        let (radius, area) = (f32_at(12), f32_at(16));
-        let flags = u16_at(self.kind.record_bytes() - 2);
-        let mut is_plain = position.iter().all(|p| p.abs() <= MAGNITUDE_MAX)
-            && (f32::MIN_POSITIVE..=MAGNITUDE_MAX).contains(&radius)
-            && (f32::MIN_POSITIVE..f32::INFINITY).contains(&area)
-            // An isotropic one is given a normal of its own.
-            && flags & !SurfelFlags::FRONT_ONLY.0 == 0;
-        let (radiance, albedo) = match self.kind {
-            RawKind::Compact => {
-                let halves = [24, 26, 28].map(u16_at);
-                is_plain &= halves.iter().all(|&h| h < f16::INFINITY.to_bits());
-                let albedo = self.options.default_albedo;
-                (halves.map(f32_of_positive_half), albedo.map(|a| f16::from_f32(a.clamp(0.0, 1.0))))
-            }
-            RawKind::Full => {
-                let (radiance, albedo) = ([24, 28, 32].map(f32_at), [36, 38, 40].map(u16_at));
-                is_plain &= radiance.iter().all(|l| (0.0..f32::INFINITY).contains(l))
-                    && albedo.iter().all(|&a| a <= f16::ONE.to_bits());
-                (radiance, albedo.map(f16::from_bits))
-            }
-        };
-        let orientation = orientation_at(bytes);
-        let flags = SurfelFlags(flags);
-        is_plain.then_some(Surfel { position, radius, area, orientation, radiance, albedo, flags })
-    }
-
-    /// Box of the valid centers of records `records` of a file; what is cut short is left for reading to find.
-    fn scan_bounds(&self, file: &File, records: Range<u64>) -> std::io::Result<Aabb> {
-        let size = self.kind.record_bytes();
-        let mut bytes = vec![0; SCAN_RECORDS.min((records.end - records.start) as usize) * size];
-        let mut bounds = Aabb::EMPTY;
-        let mut first = records.start;
-        while first < records.end {
-            let wanted = SCAN_RECORDS.min((records.end - first) as usize) * size;
-            let offset = HEADER_BYTES as u64 + first * size as u64;
-            let read = read_up_to_at(file, offset, &mut bytes[..wanted])?;
-            for record in bytes[..read].chunks_exact(size) {
-                if let Ok(surfel) = self.surfel(record) {
-                    bounds = bounds.with_point(surfel.center());
-                }
-            }
-            if read < wanted {
-                break;
-            }
-            first += SCAN_RECORDS as u64;
-        }
-        Ok(bounds)
-    }
-}
-
-/// The number a half-precision number stands for that is neither negative nor infinite. Exact: it is scaled by a power of two.
-#[inline]
-fn f32_of_positive_half(bits: u16) -> f32 {
-    const EXPONENTS_BETWEEN: f32 = f32::from_bits((127 + 112) << 23);
-    f32::from_bits(u32::from(bits) << 13) * EXPONENTS_BETWEEN
-}
-
 /// A raw surfel stream being read.
 pub struct RawSource<R> {
     reader: R,
-    /// The same file once more, where it is one that can be read twice.
-    file: Option<File>,
     path: PathBuf,
-    decoder: Decoder,
+    options: CloudOptions,
+    kind: RawKind,
+    wide_normals: bool,
     origin: DVec3,
+    /// Holds all centers, if the header says so.
+    cube: Option<Aabb>,
     count: Option<u64>,
     next: u64,
     skipped: u64,
@@ -199,8 +110,8 @@ impl<R: Read + Send> RawSource<R> {
         }
         let u32_at = |at: usize| u32::from_le_bytes(array_at(&header, at));
         let version = u32_at(8);
-        if version != VERSION && version != VERSION_WIDE_NORMALS {
-            return Err(malformed(format!("version {version}, expected {VERSION}")));
+        if !(VERSION_WIDE_NORMALS..=VERSION).contains(&version) {
+            return Err(malformed(format!("version {version}, expected 1 to {VERSION}")));
         }
         let kind = match u32_at(12) {
             1 => RawKind::Compact,
@@ -213,24 +124,66 @@ impl<R: Read + Send> RawSource<R> {
         if !origin.is_finite() {
             return Err(malformed("the origin is not finite".into()));
         }
-        if header[48..].iter().any(|&b| b != 0) {
+        let cube = [48, 52, 56, 60].map(|at| f32::from_le_bytes(array_at(&header, at)));
+        let [x, y, z, edge] = cube;
+        if !cube.iter().all(|c| c.is_finite()) || edge < 0.0 {
+            return Err(malformed(format!(
+                "the cube {x} {y} {z}, edge {edge}, is none; expected finite numbers, the edge not below 0"
+            )));
+        }
+        let is_known = version > VERSION_WITHOUT_CUBE && edge > 0.0;
+        if !is_known && header[CUBE_OFFSET..].iter().any(|&b| b != 0) {
             return Err(malformed("reserved header bytes are not zero".into()));
         }
+        let corner = Vec3::new(x, y, z);
+        let cube = is_known.then(|| Aabb { min: corner, max: corner + edge });
         Ok(Self {
             reader,
-            file: None,
             path: path.to_owned(),
-            decoder: Decoder {
-                kind,
-                wide_normals: version == VERSION_WIDE_NORMALS,
-                options: options.clone(),
-            },
+            options: options.clone(),
+            kind,
+            wide_normals: version == VERSION_WIDE_NORMALS,
             origin,
+            cube,
             count: (count != COUNT_UNKNOWN).then_some(count),
             next: 0,
             skipped: 0,
             bytes: vec![0; CHUNK_SURFELS * kind.record_bytes()],
         })
+    }
+
+    /// Appends the surfels of whole records.
+    fn push_records(&mut self, bytes: &[u8], out: &mut Vec<Surfel>) -> Result<(), CloudError> {
+        if self.wide_normals || !push_sound(bytes, self.kind, &self.options, out) {
+            return self.push_doubtful(bytes, out);
+        }
+        self.next += (bytes.len() / self.kind.record_bytes()) as u64;
+        Ok(())
+    }
+
+    /// Appends surfels whose fields must be completed, clamped or refused.
+    fn push_doubtful(&mut self, bytes: &[u8], out: &mut Vec<Surfel>) -> Result<(), CloudError> {
+        for bytes in bytes.chunks_exact(self.kind.record_bytes()) {
+            let normal = match self.wide_normals {
+                true => decode_octahedral(orientation_at(bytes)),
+                false => decode_octahedral24(orientation_at(bytes)),
+            };
+            let surfel = record_from_le_bytes(bytes, self.kind, normal, &self.options)
+                .and_then(|record| record.to_surfel(self.options.disk_overlap));
+            match surfel {
+                // The code itself, so that copying a stream changes no bit.
+                Ok(surfel) if !self.wide_normals => {
+                    out.push(Surfel { orientation: orientation_at(bytes), ..surfel });
+                }
+                Ok(surfel) => out.push(surfel),
+                Err(defect) => {
+                    let place = || format!("record {}", self.next);
+                    defect.apply(self.options.invalid, &mut self.skipped, &self.path, place)?;
+                }
+            }
+            self.next += 1;
+        }
+        Ok(())
     }
 
     /// Errors unless the stream ends here.
@@ -251,26 +204,12 @@ impl<R: Read + Send> SurfelSource for RawSource<R> {
         self.origin
     }
 
-    fn find_bounds(&mut self) -> Result<Option<Aabb>, CloudError> {
-        let Self { file: Some(file), decoder, count, .. } = &*self else { return Ok(None) };
-        let io = |e| CloudError::io(&self.path, "read", e);
-        let length = file.metadata().map_err(io)?.len();
-        let held = length.saturating_sub(HEADER_BYTES as u64) / decoder.kind.record_bytes() as u64;
-        let records = count.unwrap_or(held).min(held);
-        let scan = |task: u64| {
-            let start = task * SCAN_TASK_RECORDS;
-            decoder.scan_bounds(file, start..records.min(start + SCAN_TASK_RECORDS))
-        };
-        (0..records.div_ceil(SCAN_TASK_RECORDS))
-            .into_par_iter()
-            .map(scan)
-            .try_reduce(|| Aabb::EMPTY, |a, b| Ok(a.union(b)))
-            .map(Some)
-            .map_err(io)
+    fn bounds(&self) -> Option<Aabb> {
+        self.cube
     }
 
     fn count(&self) -> Option<u64> {
-        self.count.filter(|_| self.decoder.options.invalid == crate::InvalidPolicy::Refuse)
+        self.count.filter(|_| self.options.invalid == crate::InvalidPolicy::Refuse)
     }
 
     fn skipped(&self) -> u64 {
@@ -278,7 +217,7 @@ impl<R: Read + Send> SurfelSource for RawSource<R> {
     }
 
     fn read_chunk(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
-        let size = self.decoder.kind.record_bytes();
+        let (size, start) = (self.kind.record_bytes(), out.len());
         let left = self.count.map_or(u64::MAX, |count| count - self.next);
         let wanted = left.min(CHUNK_SURFELS as u64) as usize * size;
         let read = read_up_to(&mut self.reader, &mut self.bytes[..wanted])
@@ -293,20 +232,20 @@ impl<R: Read + Send> SurfelSource for RawSource<R> {
                 ),
             ));
         }
-        for bytes in self.bytes[..read].chunks_exact(size) {
-            match self.decoder.surfel(bytes) {
-                Ok(surfel) => out.push(surfel),
-                Err(defect) => {
-                    let place = || format!("record {}", self.next);
-                    defect.apply(
-                        self.decoder.options.invalid,
-                        &mut self.skipped,
-                        &self.path,
-                        place,
-                    )?;
-                }
-            }
-            self.next += 1;
+        let bytes = std::mem::take(&mut self.bytes);
+        let pushed = self.push_records(&bytes[..read], out);
+        self.bytes = bytes;
+        pushed?;
+        if let Some(cube) = &self.cube
+            && let Some(surfel) = out[start..].iter().find(|s| !cube.contains(s.center()))
+        {
+            return Err(CloudError::malformed(
+                &self.path,
+                format!(
+                    "a position, {}, is outside of the cube its header states",
+                    surfel.center()
+                ),
+            ));
         }
         let more = read == wanted && self.count != Some(self.next);
         if !more && self.count.is_some() {
@@ -315,26 +254,6 @@ impl<R: Read + Send> SurfelSource for RawSource<R> {
         Ok(more)
     }
 }
-
-impl RawSource<BufReader<File>> {
-    /// Opens a file.
-    ///
-    /// # Errors
-    ///
-    /// If it cannot be read or its header is not valid.
-    pub fn open(path: &Path, options: &CloudOptions) -> Result<Self, CloudError> {
-        let open = || File::open(path).map_err(|e| CloudError::io(path, "open", e));
-        let mut source = Self::new(BufReader::with_capacity(1 << 18, open()?), path, options)?;
-        source.file = Some(open()?).filter(|f| f.metadata().is_ok_and(|m| m.is_file()));
-        Ok(source)
-    }
-}
-
-/// Records read at once to find bounds.
-const SCAN_RECORDS: usize = 1 << 15;
-
-/// Records scanned by one task.
-const SCAN_TASK_RECORDS: u64 = 1 << 20;
 
 /// Writes a raw surfel stream to any writer, such as standard output.
 pub struct RawWriter<W> {
@@ -423,9 +342,11 @@ pub fn write_raw_file(
     let file = AtomicFile::create(path)?;
     let mut writer = RawWriter::new(file, path, kind, source.origin(), None)?;
     let mut surfels = Vec::new();
+    let mut bounds = Aabb::EMPTY;
     loop {
         surfels.clear();
         let more = source.read_chunk(&mut surfels)?;
+        bounds = surfels.iter().fold(bounds, |all, s| all.with_point(s.center()));
         writer.write(&surfels)?;
         if !more {
             break;
@@ -435,9 +356,27 @@ pub fn write_raw_file(
     let mut file = writer.finish()?;
     file.seek(SeekFrom::Start(COUNT_OFFSET))
         .and_then(|_| file.write_all(&count.to_le_bytes()))
+        .and_then(|()| file.seek(SeekFrom::Start(CUBE_OFFSET as u64)))
+        .and_then(|_| {
+            file.write_all(bytemuck::cast_slice(&cube_around(&bounds).map(f32::to_le_bytes)))
+        })
         .map_err(|e| CloudError::io(path, "write", e))?;
     file.commit()?;
     Ok(count)
+}
+
+/// Corner and edge of a cube that holds all of a box; zeros for an empty box.
+fn cube_around(bounds: &Aabb) -> [f32; 4] {
+    if bounds.is_empty() {
+        return [0.0; 4];
+    }
+    let [x, y, z] = bounds.min.to_array();
+    // Up, so that corner + edge is not rounded below the box.
+    let mut edge = bounds.extent().max_element().next_up();
+    while !bounds.max.cmple(bounds.min + edge).all() {
+        edge *= 1.0 + 4.0 * f32::EPSILON;
+    }
+    if edge.is_finite() { [x, y, z, edge] } else { [0.0; 4] }
 }
 
 /// Reads until `buffer` is full or the stream ends; returns the bytes read.
@@ -445,20 +384,6 @@ fn read_up_to(reader: &mut impl Read, buffer: &mut [u8]) -> std::io::Result<usiz
     let mut filled = 0;
     while filled < buffer.len() {
         match reader.read(&mut buffer[filled..]) {
-            Ok(0) => break,
-            Ok(n) => filled += n,
-            Err(e) if e.kind() == std::io::ErrorKind::Interrupted => {}
-            Err(e) => return Err(e),
-        }
-    }
-    Ok(filled)
-}
-
-/// Reads from `offset` until `buffer` is full or the file ends; returns the bytes read.
-fn read_up_to_at(file: &File, offset: u64, buffer: &mut [u8]) -> std::io::Result<usize> {
-    let mut filled = 0;
-    while filled < buffer.len() {
-        match file.read_at(&mut buffer[filled..], offset + filled as u64) {
             Ok(0) => break,
             Ok(n) => filled += n,
             Err(e) if e.kind() == std::io::ErrorKind::Interrupted => {}
@@ -476,6 +401,61 @@ fn orientation_at(record: &[u8]) -> u32 {
     u32::from_le_bytes(array_at(record, 20))
 }
 
+/// Appends the surfels of whole records if every one is a surfel as it stands; else appends none and returns `false`.
+fn push_sound(bytes: &[u8], kind: RawKind, options: &CloudOptions, out: &mut Vec<Surfel>) -> bool {
+    let first = out.len();
+    match kind {
+        RawKind::Full => out.extend(bytes.as_chunks().0.iter().map(full_from_le_bytes)),
+        RawKind::Compact => {
+            let albedo = options.default_albedo.map(f16::from_f32);
+            let surfel = |bytes| compact_from_le_bytes(bytes, albedo);
+            out.extend(bytes.as_chunks().0.iter().map(surfel));
+        }
+    }
+    let all_sound = out[first..].iter().fold(true, |all, surfel| all & is_sound(surfel));
+    if !all_sound {
+        out.truncate(first);
+    }
+    all_sound
+}
+
+fn full_from_le_bytes(bytes: &[u8; 44]) -> Surfel {
+    let f32_at = |at: usize| f32::from_le_bytes(array_at(bytes, at));
+    Surfel {
+        position: [f32_at(0), f32_at(4), f32_at(8)],
+        radius: f32_at(12),
+        area: f32_at(16),
+        orientation: orientation_at(bytes),
+        radiance: [f32_at(24), f32_at(28), f32_at(32)],
+        albedo: [36, 38, 40].map(|at| f16::from_le_bytes(array_at(bytes, at))),
+        flags: SurfelFlags(u16::from_le_bytes([bytes[42], bytes[43]])),
+    }
+}
+
+fn compact_from_le_bytes(bytes: &[u8; 32], albedo: [f16; 3]) -> Surfel {
+    let f32_at = |at: usize| f32::from_le_bytes(array_at(bytes, at));
+    let radiance_at = |at: usize| widen_radiance(u16::from_le_bytes(array_at(bytes, at)));
+    Surfel {
+        position: [f32_at(0), f32_at(4), f32_at(8)],
+        radius: f32_at(12),
+        area: f32_at(16),
+        orientation: orientation_at(bytes),
+        radiance: [radiance_at(24), radiance_at(26), radiance_at(28)],
+        albedo,
+        flags: SurfelFlags(u16::from_le_bytes([bytes[30], bytes[31]])),
+    }
+}
+
+/// The number of f16 bits, exactly; NaN for those that are no radiance: negative, infinite or NaN.
+///
+/// Exponent and mantissa keep their places in f32, whose exponent is biased by 112 more.
+#[inline]
+fn widen_radiance(bits: u16) -> f32 {
+    const BIAS: f32 = (1u128 << 112) as f32;
+    let wide = f32::from_bits(u32::from(bits) << 13) * BIAS;
+    if bits < f16::INFINITY.to_bits() { wide } else { f32::NAN }
+}
+
 fn record_from_le_bytes(
     bytes: &[u8],
     kind: RawKind,
@@ -489,7 +469,7 @@ fn record_from_le_bytes(
         RawKind::Full => ([24, 28, 32].map(f32_at), [36, 38, 40].map(f16_at)),
     };
     let flags = SurfelFlags(u16::from_le_bytes(array_at(bytes, bytes.len() - 2)));
-    if !SurfelFlags::ISOTROPIC.with(SurfelFlags::FRONT_ONLY).contains(flags) {
+    if !SurfelFlags::KNOWN.contains(flags) {
         return Err(Defect::Flags);
     }
     Ok(Record {
@@ -606,9 +586,35 @@ mod tests {
         let path = folder.path().join("t.pbgisurf");
         let surfels = surfels(5000);
         write_raw_file(&path, RawKind::Full, &mut SliceSource::new(&surfels)).unwrap();
-        let file = File::open(&path).unwrap();
+        let file = std::fs::File::open(&path).unwrap();
         let source = RawSource::new(file, &path, &CloudOptions::default()).unwrap();
         assert_eq!(source.count(), Some(5000));
+        let (bounds, cube) = (surfels.iter().map(Surfel::center), source.bounds().unwrap());
+        let bounds = Aabb::from_points(bounds);
+        assert!(cube.contains_box(&bounds) && cube.extent().max_element() < 9998.01);
+        // A cube that does not hold all is found out.
+        let mut bytes = std::fs::read(&path).unwrap();
+        bytes[60..64].copy_from_slice(&9000f32.to_le_bytes());
+        let mut source = RawSource::new(&bytes[..], &path, &CloudOptions::default()).unwrap();
+        let mut out = Vec::new();
+        let error = std::iter::repeat_with(|| source.read_chunk(&mut out)).find_map(Result::err);
+        assert!(error.unwrap().to_string().contains("outside of the cube"));
+    }
+
+    #[test]
+    fn cubes_hold_their_boxes() {
+        for (min, max) in [
+            (Vec3::ZERO, Vec3::ZERO),
+            (Vec3::splat(1e6), Vec3::splat(1e6) + 0.1),
+            (Vec3::new(-1e18, 0.0, 3.0), Vec3::new(1e18, 1.0, 3.0)),
+            (Vec3::splat(1e-30), Vec3::splat(1.3e-30)),
+        ] {
+            let [x, y, z, edge] = cube_around(&Aabb { min, max });
+            let corner = Vec3::new(x, y, z);
+            let cube = Aabb { min: corner, max: corner + edge };
+            assert!(edge > 0.0 && cube.contains(min) && cube.contains(max), "{min} {max} {edge}");
+        }
+        assert_eq!(cube_around(&Aabb::EMPTY), [0.0; 4]);
     }
 
     #[test]
@@ -637,40 +643,26 @@ mod tests {
     }
 
     #[test]
-    fn halves_are_decoded_exactly() {
-        for bits in 0..f16::INFINITY.to_bits() {
-            assert_eq!(f32_of_positive_half(bits), f16::from_bits(bits).to_f32(), "{bits:x}");
+    fn half_radiances_widen_exactly_or_not_at_all() {
+        for bits in 0..=u16::MAX {
+            let (wide, half) = (widen_radiance(bits), f16::from_bits(bits));
+            let is_radiance = half.is_finite() && half.is_sign_positive();
+            assert!(if is_radiance { wide == half.to_f32() } else { wide.is_nan() }, "{bits:#x}");
         }
     }
 
+    /// One doubtful record among sound ones changes nothing about those.
     #[test]
-    fn bounds_of_files_are_found_without_moving_on() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("cloud.surf");
-        let surfels: Vec<Surfel> = (0..1000)
-            .map(|i| Surfel::new(Vec3::new(i as f32, (i * 7 % 13) as f32, -1.0), Vec3::X, 1.0, 2.0))
-            .collect();
-        write_raw_file(&path, RawKind::Compact, &mut crate::SliceSource::new(&surfels)).unwrap();
-        let expected = Aabb::from_points(surfels.iter().map(Surfel::center));
-        // A record that is not valid counts only where it is not dropped.
-        let mut bytes = std::fs::read(&path).unwrap();
-        bytes[HEADER_BYTES..HEADER_BYTES + 4].copy_from_slice(&(-50f32).to_le_bytes());
-        bytes[HEADER_BYTES + 12..HEADER_BYTES + 16].copy_from_slice(&(-1f32).to_le_bytes());
-        let options =
-            CloudOptions { invalid: crate::InvalidPolicy::Skip, ..CloudOptions::default() };
-        for (damaged, start) in [(false, 0.0), (true, 1.0)] {
-            if damaged {
-                std::fs::write(&path, &bytes).unwrap();
-            }
-            let mut source = RawSource::open(&path, &options).unwrap();
-            let mut read = Vec::new();
-            let found = source.find_bounds().unwrap().unwrap();
-            assert_eq!((found.min.x, found.max), (start, expected.max));
-            while source.read_chunk(&mut read).unwrap() {}
-            assert_eq!(read.len() as f32, 1000.0 - start);
+    fn sound_and_doubtful_records_agree() {
+        for kind in [RawKind::Full, RawKind::Compact] {
+            let surfels = surfels(50);
+            let sound = read_all(&stream_of(&surfels, kind, None)).unwrap();
+            let mut doubtful = surfels.clone();
+            doubtful.push(Surfel { area: 0.0, ..surfels[1] });
+            let read = read_all(&stream_of(&doubtful, kind, None)).unwrap();
+            assert_eq!(read[..50], sound);
+            assert_eq!(read[50].area, std::f32::consts::PI * 0.0625);
         }
-        let mut piped = RawSource::new(bytes.as_slice(), &path, &options).unwrap();
-        assert_eq!(piped.find_bounds().unwrap(), None);
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Receivers read from PLY: places to gather light at, with whatever else the file knows of them.
 
-use crate::ply_points::{Column, NORMAL_NAMES, open_ply};
+use crate::ply_columns::{Column, NORMAL_NAMES};
+use crate::ply_points::open_ply;
 use crate::{CloudError, PlyElement, PlyKind, PlyRow, PlyType};
 use pbgi_math::{DVec3, Vec3};
 use std::path::Path;

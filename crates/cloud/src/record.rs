@@ -19,6 +19,33 @@ pub enum InvalidPolicy {
     Skip,
 }
 
+/// Which LAS points are read, by their class (LAS 1.4, tables 9 and 17).
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ClassFilter {
+    /// All but those of these classes.
+    Skip(Vec<u8>),
+    /// Those of these classes only.
+    Only(Vec<u8>),
+}
+
+impl Default for ClassFilter {
+    /// All but noise: 7, low, and 18, high.
+    fn default() -> Self {
+        Self::Skip(vec![7, 18])
+    }
+}
+
+impl ClassFilter {
+    /// Whether points of `class` are read.
+    #[must_use]
+    pub fn keeps(&self, class: u8) -> bool {
+        match self {
+            Self::Skip(classes) => !classes.contains(&class),
+            Self::Only(classes) => classes.contains(&class),
+        }
+    }
+}
+
 /// How a cloud's records become surfels.
 #[derive(Clone, Debug)]
 pub struct CloudOptions {
@@ -29,8 +56,8 @@ pub struct CloudOptions {
     pub disk_overlap: f32,
     /// Albedo where a file has no color, linear Rec. 709.
     pub default_albedo: [f32; 3],
-    /// LAS classes to leave out; 7 and 18 are noise.
-    pub skip_classes: Vec<u8>,
+    /// Which points of LAS files are read, by their class.
+    pub classes: ClassFilter,
 }
 
 impl Default for CloudOptions {
@@ -39,7 +66,7 @@ impl Default for CloudOptions {
             invalid: InvalidPolicy::Refuse,
             disk_overlap: 1.0,
             default_albedo: [0.5; 3],
-            skip_classes: vec![7, 18],
+            classes: ClassFilter::default(),
         }
     }
 }
@@ -111,6 +138,27 @@ impl Record {
             flags,
         })
     }
+}
+
+/// Whether a surfel's fields are what [`Record::to_surfel`] would make of them, so that nothing is left to do.
+#[inline]
+pub(crate) fn is_sound(surfel: &Surfel) -> bool {
+    // Without branches: compilers turn it into vector code.
+    let sizes = are_sound_sizes(surfel.radius, surfel.area);
+    let places = surfel.position.iter().fold(true, |all, x| all & (x.abs() <= MAGNITUDE_MAX));
+    let light =
+        surfel.radiance.iter().fold(true, |all, l| all & (*l >= 0.0) & (*l < f32::INFINITY));
+    let one = f16::ONE.to_bits();
+    let albedo = surfel.albedo.iter().fold(true, |all, a| all & (a.to_bits() <= one));
+    sizes & places & light & albedo & (surfel.flags.0 & !SurfelFlags::KNOWN.0 == 0)
+}
+
+/// Whether both sizes are known and in range, or both unknown.
+#[inline]
+pub(crate) fn are_sound_sizes(radius: f32, area: f32) -> bool {
+    let known = (radius > 0.0) & (area >= f32::MIN_POSITIVE);
+    let unknown = (radius == 0.0) & (area == 0.0);
+    (known | unknown) & (radius <= MAGNITUDE_MAX) & (area < f32::INFINITY)
 }
 
 /// What makes a record invalid.

@@ -43,6 +43,29 @@ impl CloudError {
     }
 }
 
+/// Points that are sound, yet were not read, by reason.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LeftOut {
+    /// Of a class that is not wanted ([`crate::ClassFilter`]).
+    pub by_class: u64,
+    /// Marked as withheld, which means deleted.
+    pub withheld: u64,
+}
+
+impl LeftOut {
+    /// Sums of both.
+    #[must_use]
+    pub fn plus(self, other: Self) -> Self {
+        Self { by_class: self.by_class + other.by_class, withheld: self.withheld + other.withheld }
+    }
+
+    /// All points.
+    #[must_use]
+    pub fn total(self) -> u64 {
+        self.by_class + self.withheld
+    }
+}
+
 /// A stream of surfels in a fixed order: reading it again from the start gives the same surfels.
 pub trait SurfelSource: Send {
     /// World position of the surfels' coordinate origin.
@@ -73,6 +96,11 @@ pub trait SurfelSource: Send {
     /// Records dropped so far because they hold no valid surfel.
     fn skipped(&self) -> u64 {
         0
+    }
+
+    /// Points left out so far.
+    fn left_out(&self) -> LeftOut {
+        LeftOut::default()
     }
 
     /// Appends the next surfels to `out`, at most a few thousand; `false` when there are no more.

@@ -16,6 +16,8 @@ impl SurfelFlags {
     /// back, so that each side has its own light and the sheet blocks once. Without this flag a
     /// surfel blocks light from both sides and its back is black.
     pub const FRONT_ONLY: Self = Self(2);
+    /// All bits that have a meaning.
+    pub const KNOWN: Self = Self(Self::ISOTROPIC.0 | Self::FRONT_ONLY.0);
 
     /// Whether all bits of `other` are set.
     #[must_use]

@@ -6,15 +6,25 @@ use glam::Vec3;
 /// below 0.004° (`tests::octahedral_error_is_bounded`). Cigolle et al., "A Survey of Efficient
 /// Representations for Independent Unit Vectors" (2014).
 #[must_use]
-#[inline]
+#[inline(always)] // Loops over many become vector code only where it is inlined.
 pub fn encode_octahedral(unit: Vec3) -> u32 {
     let sum = unit.x.abs() + unit.y.abs() + unit.z.abs();
     let (mut u, mut v) = (unit.x / sum, unit.y / sum);
     if unit.z < 0.0 {
         (u, v) = ((1.0 - v.abs()) * 1f32.copysign(u), (1.0 - u.abs()) * 1f32.copysign(v));
     }
-    let quantize = |x: f32| (x * 32767.0).round().clamp(-32767.0, 32767.0) as i16 as u16;
+    let quantize = |x: f32| round_small(x * 32767.0).clamp(-32767, 32767) as u16;
     u32::from(quantize(u)) | (u32::from(quantize(v)) << 16)
+}
+
+/// `x.round()` of numbers below 2²¹, without calls and conversions that keep loops over it from becoming vector code.
+/// The sum with a large number has the whole number nearest to `x`, ties to even, in its lowest bits.
+#[inline(always)]
+fn round_small(x: f32) -> i32 {
+    const LARGE: f32 = 12_582_912.0;
+    let whole = (x + LARGE).to_bits().wrapping_sub(LARGE.to_bits()) as i32;
+    let rest = x - whole as f32;
+    whole.wrapping_add(i32::from((rest == 0.5) & (x > 0.0))) - i32::from((rest == -0.5) & (x < 0.0))
 }
 
 /// Unit vector of an octahedral code; every code, also one never written, decodes to a unit vector.
@@ -37,12 +47,12 @@ fn unfold(u: f32, v: f32) -> Vec3 {
 /// Octahedral code of a unit vector in 24 bits, 12 per axis. The angle to the decoded vector stays below 0.07°
 /// (`tests::octahedral_error_is_bounded`).
 #[must_use]
-#[inline]
+#[inline(always)] // As above.
 pub fn encode_octahedral24(unit: Vec3) -> u32 {
     let wide = encode_octahedral(unit);
     let narrow = |bits: u32| {
         let x = f32::from(bits as u16 as i16) * (2047.0 / 32767.0);
-        (x.round() as i16 as u32) & 0xfff
+        (round_small(x) as u32) & 0xfff
     };
     narrow(wide) | (narrow(wide >> 16) << 12)
 }
@@ -74,6 +84,19 @@ mod tests {
         }
         assert!(worst.to_degrees() < 0.004, "{}°", worst.to_degrees());
         assert!(worst24.to_degrees() < 0.07, "{}°", worst24.to_degrees());
+    }
+
+    #[test]
+    fn small_numbers_are_rounded_away_from_zero_at_halves() {
+        let next = |x: f32, up: i32| f32::from_bits((x.to_bits() as i32 + up) as u32);
+        for half in -70_000..=70_000 {
+            for up in -2..=2 {
+                let x = next(half as f32 * 0.5, up);
+                if x.is_finite() {
+                    assert_eq!(round_small(x), x.round() as i32, "{x}");
+                }
+            }
+        }
     }
 
     #[test]

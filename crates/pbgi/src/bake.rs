@@ -127,6 +127,9 @@ impl<'a> Baker<'a> {
             self.progress.note("taking up the surfels that an earlier run has sorted (--resume)");
         }
         self.report.skipped = source.skipped();
+        let left_out = source.left_out();
+        self.report.left_out_by_class = left_out.by_class;
+        self.report.left_out_withheld = left_out.withheld;
         let count = sorted.summary().count;
         if count == 0 {
             let names = self.request.inputs.join(", ");

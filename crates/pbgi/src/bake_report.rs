@@ -15,6 +15,10 @@ pub struct BakeReport {
     pub surfels: u64,
     /// Records dropped because they hold no valid surfel (`--skip-invalid`).
     pub skipped: u64,
+    /// LAS points left out because of their class (`--classes`, `--skip-classes`).
+    pub left_out_by_class: u64,
+    /// LAS points left out because they are marked as withheld.
+    pub left_out_withheld: u64,
     /// Nodes, leaves included.
     pub nodes: u64,
     /// Leaves.
@@ -134,6 +138,11 @@ impl BakeReport {
         if self.skipped > 0 {
             rows.push(("skipped", format!("{} invalid records", self.skipped)));
         }
+        let (by_class, withheld) = (self.left_out_by_class, self.left_out_withheld);
+        if by_class + withheld > 0 {
+            let text = format!("{by_class} points by class (--classes), {withheld} withheld");
+            rows.push(("left out", text));
+        }
         if self.estimated_sizes + self.estimated_normals > 0 {
             let (sizes, normals) = (self.estimated_sizes, self.estimated_normals);
             rows.push(("estimated", format!("{sizes} sizes, {normals} normals")));
@@ -179,6 +188,9 @@ mod tests {
         let labels = |report: &BakeReport| report.rows().iter().map(|r| r.0).collect::<Vec<_>>();
         let plain = labels(&BakeReport::default());
         assert!(!plain.contains(&"spacing") && !plain.contains(&"skipped"));
+        assert!(!plain.contains(&"left out"));
+        let scan = BakeReport { left_out_withheld: 1, ..BakeReport::default() };
+        assert!(labels(&scan).contains(&"left out"));
         let full = BakeReport { spacing: Some(0.1), skipped: 3, ..BakeReport::default() };
         assert!(labels(&full).contains(&"spacing") && labels(&full).contains(&"skipped"));
     }

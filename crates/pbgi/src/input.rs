@@ -2,7 +2,8 @@
 
 use crate::PbgiError;
 use pbgi_cloud::{
-    CloudError, CloudOptions, ConcatSource, PlyHeader, SurfelSource, open_cloud, raw::RAW_MAGIC,
+    CloudError, CloudOptions, ConcatSource, LazyCloud, PlyHeader, SurfelSource, open_cloud,
+    raw::RAW_MAGIC,
 };
 use pbgi_scene::{
     DiceError, DiceOptions, DicedScene, ProceduralSpec, Scene, Spacing, TwoSided, procedural_scene,
@@ -37,7 +38,7 @@ pub enum InputKind {
     Mesh,
     /// A point cloud that may lack normals: `.ply` without faces and without normals.
     BareCloud,
-    /// A point cloud as it is: `.ply` without faces, a raw surfel stream, `-` for such a stream on
+    /// A point cloud as it is: `.ply` without faces, `.ptc`, a raw surfel stream, `-` for such a stream on
     /// standard input.
     Cloud,
     /// LiDAR points, `.las` or `.laz`: without normals, +Z up.
@@ -74,10 +75,11 @@ impl InputKind {
             [] => Err(PbgiError::input(format!("{name}: the file is empty"))),
             magic if *magic == RAW_MAGIC => Ok(Self::Cloud),
             [b'L', b'A', b'S', b'F', ..] => Ok(Self::Lidar),
+            [b'p', b'p', b't', b'c', ..] => Ok(Self::Cloud),
             [b'p', b'l', b'y', ..] => Self::of_ply(path),
             _ => Err(PbgiError::input(format!(
                 "{name}: not a file this program reads; expected a mesh (.glb, .gltf, .obj, .ply), \
-                 a point cloud (.ply, .las, .laz, raw surfels), or demo:NAME for a procedural scene"
+                 a point cloud (.ply, .las, .laz, .ptc, raw surfels), or demo:NAME for a procedural scene"
             ))),
         }
     }
@@ -156,7 +158,7 @@ pub struct Inputs {
 }
 
 impl Inputs {
-    /// Opens all inputs: clouds up to their first record, scenes completely.
+    /// Opens all inputs: scenes completely; cloud files are closed again until their turn comes.
     ///
     /// # Errors
     ///
@@ -184,7 +186,7 @@ impl Inputs {
                 inputs.warnings.extend(scene.warnings.iter().map(|w| format!("{name}: {w}")));
                 Content::Scene { scene, surfels: spec.and_then(|spec| spec.surfels) }
             } else {
-                Content::Cloud(Some(open_cloud(Path::new(name), options)?))
+                Content::Cloud(Some(open_for_later(Path::new(name), options)?))
             };
             inputs.contents.push(content);
         }
@@ -268,6 +270,17 @@ impl Inputs {
                 _ => Spacing::Count(((count as f64 * share(area)).round() as u64).max(1)),
             })
             .collect())
+    }
+}
+
+/// A cloud to be read when its turn comes. What cannot be opened twice, such as a pipe, stays open.
+fn open_for_later(
+    path: &Path,
+    options: &CloudOptions,
+) -> Result<Box<dyn SurfelSource>, CloudError> {
+    match path.is_file() {
+        true => Ok(Box::new(LazyCloud::open(path, options)?)),
+        false => open_cloud(path, options),
     }
 }
 

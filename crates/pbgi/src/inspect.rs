@@ -1,18 +1,13 @@
-//! What an octree file holds: its header, its pages counted, its surfels exported.
+//! What an octree file holds: its header, its pages counted.
 
 use crate::PbgiError;
 use crate::bake_memory::reader_cache_bytes;
 use crate::cli::format_table;
-use crate::output_path::check_output;
-use crate::progress::{Progress, format_bytes, format_count};
-use crate::relight::check_canceled;
-use pbgi_cloud::PlyWriter;
-use pbgi_format::{Channels, FORMAT_VERSION, LeafSurfel, Lobe, PageKind};
-use pbgi_math::DVec3;
-use pbgi_store::{Octree, OpenOptions, VerifyReport, try_for_each_leaf};
+use crate::progress::format_bytes;
+use pbgi_format::{Channels, FORMAT_VERSION, Lobe, PageKind};
+use pbgi_store::{Octree, OpenOptions, VerifyReport};
 use serde::Serialize;
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 /// What header and page table of an octree file say.
@@ -275,89 +270,8 @@ fn without_trailing_zeros(counts: &[u64]) -> Vec<u64> {
     counts[..len].to_vec()
 }
 
-fn open(path: &Path, cache_bytes: u64) -> Result<Octree, PbgiError> {
+pub(crate) fn open(path: &Path, cache_bytes: u64) -> Result<Octree, PbgiError> {
     Ok(Octree::open(path, &OpenOptions { cache_bytes, ..OpenOptions::default() })?)
-}
-
-/// Surfels gathered before they are written.
-const EXPORT_ROWS: usize = 4096;
-
-/// Writes all surfels of an octree file in its order as PLY: `x y z nx ny nz radius area`, then
-/// `radiance_r …` and `albedo_r …` where the file stores them. Positions are those of the world,
-/// `double` where the origin is not 0. Isotropic surfels have the normal 0. Returns the number of
-/// surfels.
-///
-/// # Errors
-///
-/// If the octree is damaged, or `output` exists without `force` or cannot be written.
-pub fn export_points(
-    path: &Path,
-    output: &Path,
-    force: bool,
-    memory_limit: u64,
-    progress: &Progress,
-    cancel: &AtomicBool,
-) -> Result<u64, PbgiError> {
-    check_output(output, force, &[path.display().to_string()])?;
-    let octree = open(path, reader_cache_bytes(memory_limit))?;
-    let header = octree.header();
-    let columns = ExportColumns {
-        origin: header.origin,
-        radiance: header.channels == Channels::Rgb,
-        albedo: header.flags.albedo,
-    };
-    let double_count = if header.origin == DVec3::ZERO { 0 } else { 3 };
-    let mut writer = PlyWriter::create_with_doubles(output, &columns.names(), double_count)?;
-    let phase = progress.start_phase("export", "surfels", Some(header.surfel_count));
-    let mut rows = Vec::with_capacity(EXPORT_ROWS * columns.names().len());
-    try_for_each_leaf(&mut octree.reader(), |first, surfels| {
-        surfels.iter().for_each(|surfel| columns.push(surfel, &mut rows));
-        if rows.len() >= EXPORT_ROWS * columns.names().len() {
-            check_canceled(cancel)?;
-            writer.write_double_rows(&rows)?;
-            rows.clear();
-            phase.set_done(first);
-        }
-        Ok::<(), PbgiError>(())
-    })?;
-    writer.write_double_rows(&rows)?;
-    let count = writer.finish()?;
-    phase.set_done(count);
-    progress.detail(&format!("{} surfels in {}", format_count(count as f64), output.display()));
-    Ok(count)
-}
-
-/// Columns of an export.
-struct ExportColumns {
-    origin: DVec3,
-    radiance: bool,
-    albedo: bool,
-}
-
-impl ExportColumns {
-    fn names(&self) -> Vec<&'static str> {
-        let mut names = vec!["x", "y", "z", "nx", "ny", "nz", "radius", "area"];
-        if self.radiance {
-            names.extend(["radiance_r", "radiance_g", "radiance_b"]);
-        }
-        if self.albedo {
-            names.extend(["albedo_r", "albedo_g", "albedo_b"]);
-        }
-        names
-    }
-
-    fn push(&self, surfel: &LeafSurfel, rows: &mut Vec<f64>) {
-        rows.extend((surfel.center.as_dvec3() + self.origin).to_array());
-        let normal = if surfel.isotropic { pbgi_math::Vec3::ZERO } else { surfel.normal };
-        rows.extend(normal.as_dvec3().to_array());
-        rows.extend([f64::from(surfel.radius), f64::from(surfel.area)]);
-        if self.radiance {
-            rows.extend(surfel.radiance.map(f64::from));
-        }
-        if self.albedo {
-            rows.extend(surfel.albedo.map(f64::from));
-        }
-    }
 }
 
 #[cfg(test)]
@@ -370,16 +284,5 @@ mod tests {
         assert_eq!(text, format!("  1           1  #\n  3          80  {}\n", "#".repeat(40)));
         assert_eq!(without_trailing_zeros(&[0, 3, 0, 0]), [0, 3]);
         assert!(histogram(&[], |i| i.to_string()).is_empty());
-    }
-
-    #[test]
-    fn columns_match_their_values() {
-        for (radiance, albedo) in [(false, false), (true, false), (true, true)] {
-            let columns = ExportColumns { origin: DVec3::X, radiance, albedo };
-            let mut rows = Vec::new();
-            columns.push(&LeafSurfel { isotropic: true, ..LeafSurfel::default() }, &mut rows);
-            assert_eq!(rows.len(), columns.names().len());
-            assert_eq!(rows[..6], [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
-        }
     }
 }

@@ -4,8 +4,8 @@
 use clap::{Parser, ValueEnum};
 use pbgi::cli::{self, CommonArgs};
 use pbgi::{
-    BakeRequest, CloudOptions, EnvironmentSpec, InputKind, InvalidPolicy, LightRequest,
-    LightSource, NormalsChoice, PbgiError, Sampling, TwoSided, UpAxis,
+    BakeRequest, ClassFilter, CloudOptions, EnvironmentSpec, InputKind, InvalidPolicy,
+    LightRequest, LightSource, NormalsChoice, PbgiError, Sampling, TwoSided, UpAxis,
 };
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -13,7 +13,7 @@ use std::sync::atomic::AtomicBool;
 
 /// Bake meshes and point clouds into one octree file of lit surfels
 ///
-/// Inputs are meshes (.glb .gltf .obj .ply), point clouds (.ply .las .laz, raw surfels), `-` for
+/// Inputs are meshes (.glb .gltf .obj .ply), point clouds (.ply .las .laz .ptc, raw surfels), `-` for
 /// raw surfels on standard input, or a procedural scene such as demo:street?seed=1&surfels=2M.
 /// Several inputs become one cloud.
 #[derive(Parser)]
@@ -66,9 +66,40 @@ struct SurfelArgs {
     /// Upward axis; z for LAS and LAZ, else y
     #[arg(long, value_enum, value_name = "AXIS")]
     up: Option<UpArg>,
+    /// LAS classes to read, such as 2,6; withheld points never are
+    #[arg(long, value_name = "LIST", value_parser = parse_classes, conflicts_with = "skip_classes")]
+    classes: Option<Classes>,
+    /// LAS classes to leave out, or none; 7,18 (noise) if not given
+    #[arg(long, value_name = "LIST", value_parser = parse_classes)]
+    skip_classes: Option<Classes>,
     /// Drop invalid records instead of refusing the file
     #[arg(long)]
     skip_invalid: bool,
+}
+
+impl SurfelArgs {
+    fn class_filter(&self) -> ClassFilter {
+        match (&self.classes, &self.skip_classes) {
+            (Some(Classes(only)), _) => ClassFilter::Only(only.clone()),
+            (None, Some(Classes(skip))) => ClassFilter::Skip(skip.clone()),
+            (None, None) => ClassFilter::default(),
+        }
+    }
+}
+
+/// Classes of LAS points.
+#[derive(Clone)]
+struct Classes(Vec<u8>);
+
+/// Numbers separated by commas, or `none`.
+fn parse_classes(text: &str) -> Result<Classes, String> {
+    if text == "none" {
+        return Ok(Classes(Vec::new()));
+    }
+    let classes: Result<_, _> = text.split(',').map(|class| class.trim().parse()).collect();
+    classes.map(Classes).map_err(|_| {
+        format!("`{text}` are no classes; expected numbers of 0 to 255 such as 2,6, or none")
+    })
 }
 
 /// Light stored in surfels.
@@ -158,7 +189,11 @@ impl Args {
                 TwoSidedArg::All => TwoSided::All,
                 TwoSidedArg::None => TwoSided::None,
             },
-            cloud: CloudOptions { invalid, ..CloudOptions::default() },
+            cloud: CloudOptions {
+                invalid,
+                classes: surfels.class_filter(),
+                ..CloudOptions::default()
+            },
             up: surfels.up.map(|up| match up {
                 UpArg::Y => UpAxis::Y,
                 UpArg::Z => UpAxis::Z,
@@ -227,6 +262,21 @@ mod tests {
     #[test]
     fn options_are_consistent() {
         Args::command().debug_assert();
+    }
+
+    #[test]
+    fn classes_are_read() {
+        let filter = |words: &[&str]| {
+            let all = ["pbgi-bake", "a.las"].iter().chain(words);
+            Args::try_parse_from(all).map(|args| args.surfels.class_filter())
+        };
+        assert_eq!(filter(&[]).unwrap(), ClassFilter::Skip(vec![7, 18]));
+        assert_eq!(filter(&["--classes", "2, 6"]).unwrap(), ClassFilter::Only(vec![2, 6]));
+        assert_eq!(filter(&["--skip-classes", "none"]).unwrap(), ClassFilter::Skip(Vec::new()));
+        for bad in ["", "2,", "256", "-1", "ground"] {
+            assert!(filter(&["--skip-classes", bad]).is_err(), "{bad}");
+        }
+        assert!(filter(&["--classes", "2", "--skip-classes", "7"]).is_err());
     }
 
     #[test]

@@ -24,8 +24,8 @@ struct Args {
     /// Print everything as JSON
     #[arg(long)]
     json: bool,
-    /// Write all surfels to this file, in the file's order
-    #[arg(long, value_name = "OUT.ply")]
+    /// Write all surfels to this file, in the file's order: .ply, or .ptc for RenderMan
+    #[arg(long, value_name = "OUT.ply|OUT.ptc")]
     points: Option<PathBuf>,
     /// Replace the file of --points if it exists
     #[arg(long)]

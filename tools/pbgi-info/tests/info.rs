@@ -54,6 +54,32 @@ fn file_bytes(folder: &Path) -> u64 {
     std::fs::metadata(folder.join("scene.pbgi")).unwrap().len()
 }
 
+/// What goes out as a RenderMan point cloud comes in again: the same places, sizes and light.
+#[test]
+fn ptc_files_go_out_and_come_in_again() {
+    let folder = bake("demo:cornell");
+    let (code, _, stderr) = run(folder.path(), &["scene.pbgi", "--points", "out.ptc"]);
+    assert_eq!(code, 0, "{stderr}");
+    let request = BakeRequest {
+        inputs: vec![folder.path().join("out.ptc").display().to_string()],
+        output: folder.path().join("again.pbgi"),
+        ..BakeRequest::default()
+    };
+    pbgi::bake(&request, &Progress::silent(), &AtomicBool::new(false)).unwrap();
+    let info = |name: &str| pbgi::OctreeInfo::read(&folder.path().join(name)).unwrap();
+    let (before, after) = (info("scene.pbgi"), info("again.pbgi"));
+    assert_eq!((after.surfels, after.channels, after.albedo), (before.surfels, "rgb", true));
+    let is_close = |a: f64, b: f64| (a - b).abs() <= 1e-3 * b.abs();
+    assert!(is_close(after.area_total, before.area_total));
+    assert!((0..3).all(|k| is_close(after.flux_total[k], before.flux_total[k])));
+    let moved = |k: usize| (after.bounds_max[k] - before.bounds_max[k]).abs();
+    assert!(
+        (0..3).all(|k| moved(k) <= 1e-4 * f64::from(before.cube_edge)),
+        "{:?}",
+        [0, 1, 2].map(moved)
+    );
+}
+
 #[test]
 fn damage_anywhere_ends_with_code_3_and_names_the_file() {
     let folder = bake("demo:cornell");

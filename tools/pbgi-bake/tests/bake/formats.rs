@@ -57,6 +57,26 @@ fn procedural_scenes_and_several_inputs_bake_as_one() {
     assert_eq!(info.up, "+z");
 }
 
+/// A hundred files are one cloud, and wait for their turn closed.
+#[cfg(unix)]
+#[test]
+fn a_hundred_inputs_bake_with_few_files_open() {
+    let bench = Bench::new();
+    let points = sphere(5000);
+    let names: Vec<String> = (0..100).map(|i| format!("{i:03}.pbgisurf")).collect();
+    for (name, part) in names.iter().zip(points.chunks(50)) {
+        bench.write(name, raw_stream(part, 0));
+    }
+    bench.write("all.pbgisurf", raw_stream(&points, 0));
+    bench.bake(&["all.pbgisurf", "-o", "all.pbgi"], "all.pbgi");
+    let mut shell = std::process::Command::new("sh");
+    let limited = "ulimit -n 24; exec \"$0\" \"$@\" -o parts.pbgi";
+    shell.args(["-c", limited, env!("CARGO_BIN_EXE_pbgi-bake")]).args(&names);
+    let output = shell.current_dir(bench.path("")).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(bench.read("parts.pbgi") == bench.read("all.pbgi"));
+}
+
 #[test]
 fn raw_streams_are_read_from_standard_input() {
     let bench = Bench::new();
