@@ -2,15 +2,16 @@
 #![forbid(unsafe_code)]
 
 use anyhow::{Context, Result, bail};
-use clap::Parser;
+use clap::{Parser, ValueEnum};
 use pbgi::cli;
-use pbgi_cloud::{RawKind, write_raw_file};
+use pbgi_cloud::{CloudError, RawKind, Surfel, SurfelSource, write_raw_file};
+use pbgi_math::Vec3;
 use pbgi_scene::{DiceOptions, DicedScene, Spacing, TwoSided, procedural_scene};
 use rustix::fs::{Advice, fadvise};
 use std::fs::File;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Stdio};
 use std::time::Instant;
 
 /// Bakes raw streams of 32 bytes per surfel made from a procedural scene, cold from disk, with `pbgi-bake` of the same build, and
@@ -26,6 +27,12 @@ struct Args {
     /// Scene the surfels are of
     #[arg(long, default_value = "demo:street")]
     scene: String,
+    /// Clouds that are hard on memory, in place of a scene
+    #[arg(long, value_enum, value_delimiter = ',', conflicts_with_all = ["direct", "scene"])]
+    case: Vec<Case>,
+    /// Files each stream is divided into
+    #[arg(long, default_value_t = 1)]
+    files: u64,
     /// Bake the scene itself, not a stream of its surfels
     #[arg(long)]
     direct: bool,
@@ -50,27 +57,111 @@ fn main() -> Result<()> {
     let (write, read) = disk_speed(&folder.path().join("disk"))?;
     println!("disk, 1 GiB: {write:.0} MB/s written and synced, {read:.0} MB/s read\n");
     println!(
-        "| surfels | limit | s | M surfels/s | phases | user s | system s | read B/surfel | written B/surfel \
+        "| cloud | surfels | limit | s | M surfels/s | phases | user s | system s | read B/surfel | written B/surfel \
          | file B/surfel | peak MiB |"
     );
-    println!("|---|---|---|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|---|---|---|");
     for &count in &args.surfels {
-        let stream = folder.path().join("surfels.surf");
         let scene = format!("{}?surfels={count}", args.scene);
-        if !args.direct {
-            write_stream(&scene, count, &stream)?;
+        if args.direct {
+            for limit in &args.memory_limit {
+                bake(&program, &scene, &[scene.clone().into()], limit, folder.path(), &args)?;
+            }
+            continue;
         }
-        let input = if args.direct { Path::new(&scene) } else { &stream };
-        for limit in &args.memory_limit {
-            bake(&program, input, limit, folder.path(), &args.options)?;
-        }
-        match &args.keep {
-            Some(kept) if !args.direct => std::fs::rename(&stream, kept)?,
-            _ if !args.direct => std::fs::remove_file(&stream)?,
-            _ => {}
+        let cases = args.case.iter().map(|&case| Some(case));
+        let cases: Vec<Option<Case>> =
+            if args.case.is_empty() { vec![None] } else { cases.collect() };
+        for case in cases {
+            let name = case.map_or(args.scene.clone(), |case| format!("{case:?}").to_lowercase());
+            let streams = write_streams(case, &scene, count, folder.path(), args.files)?;
+            for limit in &args.memory_limit {
+                bake(&program, &name, &streams, limit, folder.path(), &args)?;
+            }
+            for stream in streams {
+                match &args.keep {
+                    Some(kept) => std::fs::rename(&stream, kept)?,
+                    None => std::fs::remove_file(&stream)?,
+                }
+            }
         }
     }
     Ok(())
+}
+
+/// Clouds that are hard on memory.
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+enum Case {
+    /// All surfels at one place, but for one.
+    Place,
+    /// All surfels on one line, shuffled.
+    Line,
+    /// A plane in Morton order.
+    Sorted,
+    /// A plane against the Morton order.
+    Reversed,
+}
+
+/// The surfels of a case, numbers `next..end` of `count`.
+struct Generated {
+    case: Case,
+    count: u64,
+    next: u64,
+    end: u64,
+}
+
+impl Generated {
+    fn position(&self, number: u64) -> Vec3 {
+        let fraction = |n: u64| n as f32 / self.count as f32;
+        match self.case {
+            Case::Place => Vec3::splat(if number == 0 { 1.0 } else { 0.25 }),
+            // An odd number far from a divisor visits all places.
+            Case::Line => Vec3::X * fraction(number.wrapping_mul(982_451_653) % self.count),
+            Case::Sorted | Case::Reversed => {
+                let number =
+                    if self.case == Case::Sorted { number } else { self.count - 1 - number };
+                let bits = |shift: u32| {
+                    (0..32).fold(0u64, |all, bit| all | (number >> (2 * bit + shift) & 1) << bit)
+                };
+                Vec3::new(bits(0) as f32, bits(1) as f32, 0.0)
+            }
+        }
+    }
+}
+
+impl SurfelSource for Generated {
+    fn count(&self) -> Option<u64> {
+        Some(self.end - self.next)
+    }
+
+    fn read_chunk(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
+        let end = self.end.min(self.next + 4096);
+        out.extend((self.next..end).map(|n| Surfel::new(self.position(n), Vec3::Z, 0.7, 1.0)));
+        self.next = end;
+        Ok(end < self.end)
+    }
+}
+
+fn write_streams(
+    case: Option<Case>,
+    scene: &str,
+    count: u64,
+    folder: &Path,
+    files: u64,
+) -> Result<Vec<PathBuf>> {
+    let Some(case) = case else {
+        let path = folder.join("scene.surf");
+        write_stream(scene, count, &path)?;
+        return Ok(vec![path]);
+    };
+    (0..files)
+        .map(|file| {
+            let path = folder.join(format!("{file}.surf"));
+            let (next, end) = (count * file / files, count * (file + 1) / files);
+            write_raw_file(&path, RawKind::Compact, &mut Generated { case, count, next, end })?;
+            Ok(path)
+        })
+        .collect()
 }
 
 fn write_stream(scene: &str, count: u64, path: &Path) -> Result<()> {
@@ -114,17 +205,27 @@ fn disk_speed(path: &Path) -> Result<(f64, f64)> {
     Ok((megabytes / write, megabytes / read))
 }
 
-fn bake(program: &Path, input: &Path, limit: &str, folder: &Path, more: &[String]) -> Result<()> {
-    make_cold(input)?;
+fn bake(
+    program: &Path,
+    name: &str,
+    inputs: &[PathBuf],
+    limit: &str,
+    folder: &Path,
+    args: &Args,
+) -> Result<()> {
+    for input in inputs {
+        make_cold(input)?;
+    }
     let (target, stats) = (folder.join("bench.pbgi"), folder.join("stats.json"));
     let status = Command::new(program)
-        .arg(input)
+        .args(inputs)
+        .stdout(Stdio::null())
         .args(["--force", "--quiet", "--memory-limit", limit])
         .arg("--output")
         .arg(&target)
         .arg("--stats-json")
         .arg(&stats)
-        .args(more)
+        .args(&args.options)
         .status()?;
     if !status.success() {
         bail!("{} failed", program.display());
@@ -145,7 +246,7 @@ fn bake(program: &Path, input: &Path, limit: &str, folder: &Path, more: &[String
         })
         .collect();
     println!(
-        "| {:.1} M | {limit} | {:.1} | {:.2} | {} | {:.1} | {:.1} | {:.1} | {:.1} | {:.2} | {:.0} |",
+        "| {name} | {:.1} M | {limit} | {:.1} | {:.2} | {} | {:.1} | {:.1} | {:.1} | {:.1} | {:.2} | {:.0} |",
         surfels / 1e6,
         number("seconds")?,
         number("surfels_per_second")? / 1e6,
