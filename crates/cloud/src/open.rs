@@ -4,7 +4,7 @@ use crate::ptc::PTC_MAGIC;
 use crate::raw::RAW_MAGIC;
 use crate::{CloudError, CloudOptions, LasPoints, PlyPoints, PtcPoints, RawSource, SurfelSource};
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::Read;
 use std::path::Path;
 
 /// Opens a PLY, LAS, LAZ, PTC or raw surfel file, told apart by their first bytes; `-` is a raw surfel
@@ -27,8 +27,8 @@ pub fn open_cloud(
         .map_err(|e| CloudError::io(path, "read", e))?;
     if start == RAW_MAGIC {
         let file = File::open(path).map_err(|e| CloudError::io(path, "open", e))?;
-        let reader = BufReader::with_capacity(1 << 18, file);
-        Ok(Box::new(RawSource::new(reader, path, options)?))
+        // It reads large blocks by itself.
+        Ok(Box::new(RawSource::new(file, path, options)?))
     } else if start.starts_with(b"LASF") {
         Ok(Box::new(LasPoints::open(path, options)?))
     } else if start.starts_with(b"ply") {

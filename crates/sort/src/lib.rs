@@ -9,6 +9,7 @@
 //! sizes it is asked to estimate.
 #![forbid(unsafe_code)]
 
+mod aligned;
 mod buckets;
 mod checkpoint;
 mod eigen;

@@ -1,12 +1,14 @@
 //! Temporary files, which have no name unless they are to outlive the process.
 
 use crate::SortError;
+use crate::aligned::ALIGNMENT;
 use pbgi_cloud::{CloudError, Surfel, SurfelSource};
 use pbgi_math::DVec3;
-use rustix::fs::FallocateFlags;
+use rustix::fs::{FallocateFlags, OFlags};
 use std::fs::File;
 use std::io;
-use std::os::unix::fs::FileExt;
+use std::os::fd::AsRawFd;
+use std::os::unix::fs::{FileExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 /// Bytes of a surfel as it is in memory, in this machine's byte order.
@@ -15,8 +17,13 @@ pub(crate) const SURFEL_BYTES: u64 = size_of::<Surfel>() as u64;
 const FREE_BYTES_MIN: u64 = 16 << 20;
 
 /// An unlinked file, so that nothing stays behind however the process ends, or a named one.
+///
+/// What is written and read in large blocks goes past the system's page cache where the file system allows: it is read once only, and
+/// copying costs more than the disk.
 pub(crate) struct TempFile {
     file: File,
+    /// The same file, to be read and written in aligned blocks.
+    direct: Option<File>,
     dir: PathBuf,
     len: u64,
 }
@@ -29,7 +36,14 @@ impl TempFile {
             action: "create",
             source,
         })?;
-        Ok(Self { file, dir: dir.to_owned(), len: 0 })
+        Ok(Self::of(file, dir.to_owned(), 0))
+    }
+
+    fn of(file: File, dir: PathBuf, len: u64) -> Self {
+        let name = format!("/proc/self/fd/{}", file.as_raw_fd());
+        let flags = OFlags::DIRECT.bits() as i32;
+        let direct = File::options().read(true).write(true).custom_flags(flags).open(name).ok();
+        Self { file, direct, dir, len }
     }
 
     /// Creates an empty file of this name, which stays when it is closed.
@@ -37,7 +51,7 @@ impl TempFile {
         let dir = path.parent().unwrap_or(Path::new(".")).to_owned();
         let options = File::options().read(true).write(true).create(true).truncate(true).open(path);
         match options {
-            Ok(file) => Ok(Self { file, dir, len: 0 }),
+            Ok(file) => Ok(Self::of(file, dir, 0)),
             Err(source) => Err(SortError::Temp { dir, action: "create", source }),
         }
     }
@@ -46,7 +60,7 @@ impl TempFile {
     pub fn open(path: &Path, len: u64) -> Option<Self> {
         let file = File::options().read(true).write(true).open(path).ok()?;
         let dir = path.parent().unwrap_or(Path::new(".")).to_owned();
-        (file.metadata().ok()?.len() == len).then_some(Self { file, dir, len })
+        (file.metadata().ok()?.len() == len).then(|| Self::of(file, dir, len))
     }
 
     /// Waits until all of it is on disk.
@@ -72,16 +86,62 @@ impl TempFile {
 
     /// Appends bytes.
     pub fn append(&mut self, bytes: &[u8]) -> Result<(), SortError> {
-        self.file.write_all_at(bytes, self.len).map_err(|source| match source.kind() {
+        self.file
+            .write_all_at(bytes, self.len)
+            .map_err(|source| self.write_error(source, bytes.len()))?;
+        self.len += bytes.len() as u64;
+        Ok(())
+    }
+
+    /// Reserves disk space for `len` more bytes, to be written by [`Self::write_blocks`], and returns where they start.
+    pub fn extend(&mut self, len: u64) -> Result<u64, SortError> {
+        let start = self.len.next_multiple_of(ALIGNMENT as u64);
+        self.len = (start + len).next_multiple_of(ALIGNMENT as u64);
+        match rustix::fs::fallocate(&self.file, FallocateFlags::empty(), start, self.len - start) {
+            Err(e) if e == rustix::io::Errno::NOSPC || e == rustix::io::Errno::DQUOT => {
+                Err(self.write_error(e.into(), (self.len - start) as usize))
+            }
+            // Other file systems reserve as they write.
+            _ => Ok(start),
+        }
+    }
+
+    /// Writes whole blocks.
+    pub fn write_blocks(&self, offset: u64, blocks: &[u8]) -> Result<(), SortError> {
+        let written = match &self.direct {
+            Some(direct) => direct.write_all_at(blocks, offset),
+            None => Err(io::ErrorKind::InvalidInput.into()),
+        };
+        written
+            .or_else(|error| match error.kind() {
+                io::ErrorKind::InvalidInput => self.file.write_all_at(blocks, offset),
+                _ => Err(error),
+            })
+            .map_err(|source| self.write_error(source, blocks.len()))
+    }
+
+    /// Reads whole blocks.
+    pub fn read_blocks(&self, offset: u64, out: &mut [u8]) -> Result<(), SortError> {
+        let read = match &self.direct {
+            Some(direct) => direct.read_exact_at(out, offset),
+            None => Err(io::ErrorKind::InvalidInput.into()),
+        };
+        read.or_else(|error| match error.kind() {
+            io::ErrorKind::InvalidInput => self.file.read_exact_at(out, offset),
+            _ => Err(error),
+        })
+        .map_err(|source| self.error("read", source))
+    }
+
+    fn write_error(&self, source: io::Error, needed: usize) -> SortError {
+        match source.kind() {
             io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => SortError::DiskFull {
                 dir: self.dir.clone(),
-                needed: bytes.len() as u64,
+                needed: needed as u64,
                 free: self.free_bytes().unwrap_or(0),
             },
             _ => self.error("write", source),
-        })?;
-        self.len += bytes.len() as u64;
-        Ok(())
+        }
     }
 
     /// Fills `out` with the bytes from `offset` on.
