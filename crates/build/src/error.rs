@@ -37,6 +37,9 @@ pub enum BuildError {
         /// The format's limit.
         limit: u64,
     },
+    /// No threads could be started.
+    #[error("cannot start threads: {0}; use fewer (--threads)")]
+    Threads(#[source] std::io::Error),
     /// Stopped from outside.
     #[error("interrupted")]
     Cancelled,

@@ -121,10 +121,15 @@ pub(crate) fn with_items<R>(
             let _ = permit_sender.send(());
         }
         let failed = done_sender.clone();
-        scope.spawn(move || feed(source, &permits, &task_sender, &failed));
+        let named = |name: &str| std::thread::Builder::new().name(name.to_owned());
+        named("pieces")
+            .spawn_scoped(scope, move || feed(source, &permits, &task_sender, &failed))
+            .map_err(BuildError::Threads)?;
         for _ in 0..options.threads {
             let (tasks, done) = (tasks.clone(), done_sender.clone());
-            scope.spawn(move || work(&tasks, &done, settings, options));
+            named("build")
+                .spawn_scoped(scope, move || work(&tasks, &done, settings, options))
+                .map_err(BuildError::Threads)?;
         }
         drop((tasks, done_sender));
         let mut waiting = HashMap::new();

@@ -78,7 +78,10 @@ pub(crate) fn with_chunks(
     std::thread::scope(|scope| {
         let (full_sender, full) = bounded::<Vec<Surfel>>(CHUNKS_WAITING);
         let (empty_sender, empty) = bounded(CHUNKS_WAITING);
-        let reader = scope.spawn(move || read_all(checked, source, &full_sender, &empty));
+        let reader = std::thread::Builder::new()
+            .name("read".to_owned())
+            .spawn_scoped(scope, move || read_all(checked, source, &full_sender, &empty))
+            .map_err(|e| SortError::Threads { threads, message: e.to_string() })?;
         let taken = take_all(full, &empty_sender, take);
         let checked = reader.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
         // An error of the taker ends the reader, whose own comes first where both have one.
