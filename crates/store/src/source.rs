@@ -72,8 +72,9 @@ mod map {
             let start = usize::try_from(offset).unwrap_or(usize::MAX);
             let end = start.checked_add(out.len()).filter(|&end| end <= self.map.len());
             let end = end.ok_or(std::io::ErrorKind::UnexpectedEof)?;
-            // One request for the whole page: faults taken singly are ten times slower.
-            // Where the kernel cannot populate, the copy below faults the bytes in.
+            // One request for the whole page: faults taken singly, which is what populating a map without read-ahead does, are a
+            // hundred times slower. Where the kernel cannot populate, the copy below faults the bytes in.
+            let _ = self.map.advise_range(Advice::WillNeed, start, out.len());
             let _ = self.map.advise_range(Advice::PopulateRead, start, out.len());
             out.copy_from_slice(&self.map[start..end]);
             // SAFETY: the map is read-only and shared with the file, so dropped pages come back
