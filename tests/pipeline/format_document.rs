@@ -7,6 +7,7 @@ use pbgi_build::BuildOptions;
 use pbgi_cloud::{Surfel, SurfelFlags};
 use pbgi_math::Vec3;
 use pbgi_store::{Octree, OpenOptions};
+use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -15,7 +16,7 @@ const BEGIN: &str = "<!-- dump: begin -->\n```text\n";
 const END: &str = "```\n<!-- dump: end -->\n";
 
 fn golden_path() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("golden/v1-five-surfels.pbgi")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("golden/v2-five-surfels.pbgi")
 }
 
 fn document_path() -> PathBuf {
@@ -87,6 +88,13 @@ fn todays_reader_reads_the_golden_file() {
 }
 
 #[test]
+fn files_of_version_1_are_refused() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("golden/v1-five-surfels.pbgi");
+    let error = Octree::open(&path, &OpenOptions::default()).err().unwrap().to_string();
+    assert!(error.contains("header: version: found 1, expected 2"), "{error}");
+}
+
+#[test]
 fn the_document_shows_every_byte_of_the_golden_file() {
     let text = std::fs::read_to_string(document_path()).unwrap();
     let (before, rest) = text.split_once(BEGIN).expect("the document marks the dump's start");
@@ -103,14 +111,22 @@ fn the_document_shows_every_byte_of_the_golden_file() {
 struct Dump<'a> {
     bytes: &'a [u8],
     at: usize,
+    /// By surfel page: first bytes and sizes of the leaves.
+    leaves: BTreeMap<usize, BTreeMap<usize, usize>>,
     out: String,
 }
 
 impl<'a> Dump<'a> {
     fn of_file(bytes: &'a [u8]) -> String {
-        let mut dump = Self { bytes, at: 0, out: String::new() };
+        let mut dump = Self { bytes, at: 0, leaves: BTreeMap::new(), out: String::new() };
         let page_count = u64_at(bytes, 48);
         let table = u64_at(bytes, 56) as usize;
+        for page in 0..page_count as usize {
+            let entry = &bytes[table + 32 * page..];
+            if u32_at(entry, 24) == 1 {
+                dump.collect_leaves(page, &bytes[u64_at(entry, 0) as usize..]);
+            }
+        }
         dump.header();
         for page in 0..page_count as usize {
             let entry = &bytes[table + 32 * page..];
@@ -211,33 +227,174 @@ impl<'a> Dump<'a> {
     }
 
     fn surfel_page(&mut self, page: usize) {
+        let start = self.at;
         self.title(&format!("page {page}: surfels"));
         self.show_u32("kind");
-        let count = u32_at(&self.bytes[self.at..], 0);
         self.show_u32("surfels");
-        self.show_u32("bytes per surfel");
-        self.show_u32("reserved");
-        let (rgb, albedo) = (self.is_rgb(), u32_at(self.bytes, 20) & 1 != 0);
+        self.show(8, |_| "reserved".into());
+        for (offset, count) in self.leaves[&page].clone() {
+            assert_eq!(self.at - start, offset, "leaves lie one after the other");
+            self.leaf(offset, count);
+        }
+        self.show(8, |_| "after the last leaf".into());
+    }
+
+    fn show_u8(&mut self, name: &str) -> usize {
+        let byte = self.bytes[self.at];
+        self.show(1, |b| format!("{name} {}", b[0]));
+        byte.into()
+    }
+
+    /// A list of values of `bytes` bytes each: its length.
+    fn list(&mut self, name: &str, bytes: usize, explain: impl Fn(&[u8]) -> String) -> usize {
+        let count = self.show_u8(&format!("{name}s listed"));
+        for index in 0..count {
+            self.show(bytes, |b| format!("  {name} {index}: {}", explain(b)));
+        }
+        count
+    }
+
+    fn leaf(&mut self, offset: usize, count: usize) {
+        self.title(&format!("leaf at {offset}, {count} surfels"));
+        let control = u16_at(self.bytes, self.at);
+        let width = [control & 15, control >> 4 & 15, control >> 8 & 15].map(u32::from);
+        let (orientation, size) = (control >> 12 & 3, control >> 14);
+        self.show(2, |_| {
+            format!(
+                "bits of a position {width:?}, orientation mode {orientation}, size mode {size}"
+            )
+        });
+        let mut fields: Vec<(String, u32)> = Vec::new();
+        for (axis, bits) in width.into_iter().enumerate() {
+            fields.push((format!("position {axis}"), bits));
+        }
+        let orientation_bits = match orientation {
+            1 => 20,
+            2 => 32,
+            _ => index_bits(self.list("orientation", 4, |b| match b[3] {
+                0 => format!("normal {}", octahedral(u32_at(b, 0))),
+                tile => format!("normal {}, tile code {tile}", octahedral(u32_at(b, 0))),
+            })),
+        };
+        fields.push(("orientation".into(), orientation_bits));
+        for (axis, bits) in width.into_iter().enumerate() {
+            let is_height = orientation == 3 && axis == 2;
+            if bits == 0 || is_height {
+                self.show(2, |b| format!("position {axis} from {} on", u16_at(b, 0)));
+            }
+            if bits > 0 && is_height {
+                self.show_u8("  in steps of 2 to the power of");
+            }
+        }
+        self.leaf_sizes(size, &mut fields);
+        self.leaf_colors(&mut fields);
+        let stride: u32 = fields.iter().map(|f| f.1).sum();
+        let records = &self.bytes[self.at..];
+        let bytes = (stride as usize * count).div_ceil(8);
+        self.show(bytes, |_| format!("surfels of {stride} bits"));
         for surfel in 0..count {
-            let cell = |b: &[u8], i: usize| u16_at(b, 2 * i);
-            let name = format!("surfel {surfel}: center at");
-            self.show(6, |b| format!("{name} ({}, {}, {})", cell(b, 0), cell(b, 1), cell(b, 2)));
-            let tile = self.bytes[self.at + 3];
-            let isotropic = self.bytes[self.at + 5] & 0x80 != 0;
-            self.show(4, |b| match tile {
-                0 => format!("  normal {}", octahedral(u32_at(b, 0))),
-                tile => format!("  normal {}, tile code {tile}", octahedral(u32_at(b, 0))),
-            });
-            let is_tile = tile != 0 && !isotropic;
-            let size = if is_tile { "  half the long edge" } else { "  radius" };
-            self.mini_float(92, size, "isotropic");
-            self.mini_float(96, "  area", "front only");
-            if rgb {
-                self.shared_exponent("  radiance", self.radiance_scale());
+            let mut at = surfel * stride as usize;
+            let mut text = format!("surfel {surfel}:");
+            for (name, bits) in fields.iter().filter(|f| f.1 > 0) {
+                let bit = |i: usize| u64::from(records[(at + i) / 8] >> ((at + i) % 8) & 1) << i;
+                let number: u64 = (0..*bits as usize).map(bit).sum();
+                write!(text, " {name} {number}").unwrap();
+                at += *bits as usize;
             }
-            if albedo {
-                self.shared_exponent("  albedo", 1.0);
+            self.note(&text);
+        }
+    }
+
+    /// Radii and areas of a leaf.
+    fn leaf_sizes(&mut self, mode: u16, fields: &mut Vec<(String, u32)>) {
+        let [radius, area] = [92, 96].map(|at| u32_at(self.bytes, at) as i32);
+        let mut below = |dump: &mut Self, name: &str| {
+            let control = u32::from(dump.bytes[dump.at]);
+            dump.show(1, |_| format!("  {} bits, in steps of 2^{}", control & 15, control >> 4));
+            fields.push((name.into(), control & 15));
+        };
+        match mode {
+            0 => {
+                let count = self.list("size", 4, |b| {
+                    let flag =
+                        |bit: u32, name| if u32_at(b, 0) >> bit & 1 != 0 { name } else { "" };
+                    let size = mini_float(u16_at(b, 0).into(), radius);
+                    let area = mini_float(u16_at(b, 2).into(), area);
+                    let (isotropic, front) = (flag(15, ", isotropic"), flag(31, ", front only"));
+                    format!("{size:.6}, area {area:.6}{isotropic}{front}")
+                });
+                fields.push(("size".into(), index_bits(count)));
             }
+            1 => {
+                self.show(2, |b| format!("size²/area {}", mini_float(u16_at(b, 0).into(), 32)));
+                self.mini_float(96, "largest area", "front only");
+                below(self, "area");
+            }
+            2 => {
+                self.mini_float(92, "largest size", "isotropic");
+                self.mini_float(96, "largest area", "front only");
+                below(self, "size");
+                below(self, "area");
+            }
+            _ => fields.push(("size".into(), 32)),
+        }
+    }
+
+    /// Light and albedo of a leaf.
+    fn leaf_colors(&mut self, fields: &mut Vec<(String, u32)>) {
+        let widths = |control: u16| [control & 15, control >> 4 & 15, control >> 8 & 15];
+        let explain = |control: u16| {
+            let zero = if control >> 15 != 0 { ", 0 is none" } else { "" };
+            format!("{:?} bits, in steps of 2^{}{zero}", widths(control), control >> 12 & 7)
+        };
+        let mut push = |name: &str, control: u16| {
+            for (channel, bits) in ["R", "G", "B"].into_iter().zip(widths(control)) {
+                fields.push((format!("{name} {channel}"), bits.into()));
+            }
+        };
+        if self.is_rgb() {
+            let control = u16_at(self.bytes, self.at);
+            self.show(2, |_| format!("radiance: {}", explain(control)));
+            if control & 0x8fff != 0x8000 {
+                let scale = f64::from(self.radiance_scale());
+                self.show(6, |b| {
+                    let c = |i: usize| mini_float(u16_at(b, 2 * i).into(), 16) * scale;
+                    format!("  at least ({:.4}, {:.4}, {:.4})", c(0), c(1), c(2))
+                });
+            }
+            push("radiance", control);
+        }
+        if u32_at(self.bytes, 20) & 1 != 0 {
+            let root = |b: &[u8], i: usize| (f64::from(b[i]) / 255.0).powi(2);
+            let color =
+                |b: &[u8]| format!("({:.4}, {:.4}, {:.4})", root(b, 0), root(b, 1), root(b, 2));
+            let count = self.list("albedo", 3, color);
+            if count > 0 {
+                fields.push(("albedo".into(), index_bits(count)));
+            } else {
+                let control = u16_at(self.bytes, self.at);
+                self.show(2, |_| format!("albedo: {}", explain(control)));
+                self.show(3, |b| format!("  at least {}", color(b)));
+                push("albedo", control);
+            }
+        }
+    }
+
+    /// Where the leaves of a node page lie.
+    fn collect_leaves(&mut self, number: usize, page: &[u8]) {
+        let lobe_bytes = if self.is_rgb() { 12 } else { 8 };
+        let mut at = 32;
+        while at < u32_at(page, 12) as usize {
+            let (octants, leaves, lobes) = (page[at + 40], page[at + 41], page[at + 42]);
+            let children = octants.count_ones() as usize;
+            for (child, octant) in (0..8).filter(|o| octants >> o & 1 != 0).enumerate() {
+                let link = u32_at(page, at + 44 + 4 * child);
+                if leaves >> octant & 1 != 0 {
+                    let of_page = self.leaves.entry(number - u32_at(page, 8) as usize).or_default();
+                    of_page.insert((link >> 8) as usize, (link & 255) as usize);
+                }
+            }
+            at += (44 + 11 * children).next_multiple_of(4) + usize::from(lobes) * lobe_bytes;
         }
     }
 
@@ -307,14 +464,17 @@ impl<'a> Dump<'a> {
         f32::from_bits(u32_at(self.bytes, 100))
     }
 
+    /// A line about bytes already shown.
+    fn note(&mut self, text: &str) {
+        writeln!(self.out, "{:45}{text}", "").unwrap();
+    }
+
     /// A MiniFloat whose codec stands at byte `codec` of the header, and what its top bit says.
     fn mini_float(&mut self, codec: usize, name: &str, flag: &str) {
         let exponent_max = u32_at(self.bytes, codec) as i32;
         self.show(2, |b| {
             let code = u16_at(b, 0);
-            let (exponent, mantissa) = (i32::from(code >> 9 & 63), f64::from(code & 511));
-            let value = (1.0 + mantissa / 512.0) * 2f64.powi(exponent_max - 64 + exponent);
-            let value = if code & 0x7fff == 0 { 0.0 } else { value };
+            let value = mini_float(code.into(), exponent_max);
             let flag = if code & 0x8000 != 0 { format!(", {flag}") } else { String::new() };
             format!("{name} {value:.6}{flag}")
         });
@@ -330,9 +490,21 @@ impl<'a> Dump<'a> {
     }
 }
 
+/// Bits that tell so many things apart.
+fn index_bits(count: usize) -> u32 {
+    (0..).find(|bits| 1 << bits >= count).unwrap()
+}
+
+/// Bit 15 means something else.
+fn mini_float(code: u32, exponent_max: i32) -> f64 {
+    let (exponent, mantissa) = ((code >> 9 & 63) as i32, f64::from(code & 511));
+    let value = (1.0 + mantissa / 512.0) * 2f64.powi(exponent_max - 64 + exponent);
+    if code & 0x7fff == 0 { 0.0 } else { value }
+}
+
 fn link(code: u32, is_leaf: bool) -> String {
     if is_leaf {
-        format!("leaf of {} surfels from {} on", code & 255, code >> 8)
+        format!("leaf of {} surfels at {}", code & 255, code >> 8)
     } else if code >> 31 != 0 {
         format!("external link {}", code & 0x7fff_ffff)
     } else {

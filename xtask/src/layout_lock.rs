@@ -12,13 +12,16 @@ pub const DOCUMENT: &str = "docs/format.md";
 const KEY: &str = "layout-lock: ";
 
 /// Sources that say which byte means what.
-const SOURCES: [&str; 9] = [
+const SOURCES: [&str; 12] = [
     "crates/format/src/header.rs",
     "crates/format/src/page_table.rs",
     "crates/format/src/page.rs",
     "crates/format/src/group.rs",
     "crates/format/src/lobe.rs",
     "crates/format/src/surfel.rs",
+    "crates/format/src/leaf.rs",
+    "crates/format/src/leaf_writer.rs",
+    "crates/format/src/bits.rs",
     "crates/format/src/mini_float.rs",
     "crates/math/src/octahedral.rs",
     "crates/math/src/rgbe.rs",

@@ -132,7 +132,7 @@ impl Default for BuildOptions<'_> {
     fn default() -> Self {
         Self {
             page_bytes: 64 << 10,
-            leaf_surfels_max: 16,
+            leaf_surfels_max: 32,
             compress: false,
             channels: ChannelChoice::AsNeeded,
             albedo: true,

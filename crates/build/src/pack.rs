@@ -4,10 +4,11 @@ use crate::aggregate::NodeAggregate;
 use crate::reduce::LobeReducer;
 use pbgi_cloud::Surfel;
 use pbgi_format::{
-    ChildBox, ChildLink, ExternalLink, GroupFields, LeafSurfel, Lobe, NODE_PAGE_HEADER_BYTES,
-    SurfelLayout, group_bytes, write_group,
+    ChildBox, ChildLink, ExternalLink, GroupFields, LeafWriter, Lobe, NODE_PAGE_HEADER_BYTES,
+    SURFEL_PAGE_FIXED_BYTES, SURFEL_PAGE_HEADER_BYTES, SurfelFields, SurfelLayout, group_bytes,
+    write_group,
 };
-use pbgi_math::rectangle_half_edges;
+use pbgi_math::{Aabb, rectangle_half_edges};
 use std::borrow::Cow;
 
 /// A closed node that waits for its parent.
@@ -85,19 +86,20 @@ impl Group {
         };
         let mut children = Vec::with_capacity(nodes.len());
         let mut depth = 0;
+        let mut writer = LeafWriter::default();
         for (octant, node) in nodes {
             fields.octants |= 1 << octant;
+            let stored_box = ChildBox::around(&node.aggregate.bounds, &bounds);
             let content = match node.content {
                 PendingContent::Leaf(surfels) => {
                     fields.leaves |= 1 << octant;
-                    encode_leaf(&surfels, &bounds, layout)
+                    encode_leaf(&surfels, &stored_box.leaf_frame(&bounds), layout, &mut writer)
                 }
                 PendingContent::Group(group) => {
                     depth = depth.max(group.depth);
                     ChildContent::Group(group)
                 }
             };
-            let stored_box = ChildBox::around(&node.aggregate.bounds, &bounds);
             let decoded = stored_box.decode(&bounds);
             children.push(Child {
                 stored_box,
@@ -164,7 +166,8 @@ impl Group {
 
     /// Whether the treelet is too large for one pair of pages.
     pub fn exceeds(&self, page_bytes: usize) -> bool {
-        NODE_PAGE_HEADER_BYTES + self.node_bytes() > page_bytes || self.surfel_bytes > page_bytes
+        NODE_PAGE_HEADER_BYTES + self.node_bytes() > page_bytes
+            || SURFEL_PAGE_FIXED_BYTES + self.surfel_bytes > page_bytes
     }
 
     /// Moves the children's treelets into pages: neighbors share a page as long as they fit.
@@ -177,7 +180,8 @@ impl Group {
     ) -> Result<(), E> {
         let mut start = 0;
         while start < self.children.len() {
-            let (mut node_bytes, mut surfel_bytes) = (NODE_PAGE_HEADER_BYTES, 0);
+            let (mut node_bytes, mut surfel_bytes) =
+                (NODE_PAGE_HEADER_BYTES, SURFEL_PAGE_FIXED_BYTES);
             let mut members = Vec::new();
             let mut end = start;
             while end < self.children.len() {
@@ -214,27 +218,30 @@ impl Group {
 
 fn encode_leaf(
     surfels: &[Surfel],
-    bounds: &pbgi_math::Aabb,
+    frame: &Aabb,
     layout: &SurfelLayout,
+    writer: &mut LeafWriter,
 ) -> ChildContent {
-    let mut bytes = Vec::with_capacity(surfels.len() * layout.stored_bytes());
     for surfel in surfels {
-        let tile = surfel.tile();
-        let [half_long, _] = rectangle_half_edges(surfel.radius, surfel.area);
-        let stored = LeafSurfel {
+        let is_tile = surfel.tile().is_known();
+        let size = match is_tile {
+            true => rectangle_half_edges(surfel.radius, surfel.area)[0],
+            false => surfel.radius,
+        };
+        let fields = SurfelFields {
             center: surfel.center(),
-            normal: surfel.normal(),
-            radius: surfel.radius,
+            orientation: surfel.orientation,
+            size,
             area: surfel.area,
-            tile,
-            half_long: if tile.is_known() { half_long } else { 0.0 },
             radiance: surfel.radiance,
             albedo: surfel.albedo_rgb(),
             isotropic: surfel.is_isotropic(),
             front_only: surfel.is_front_only(),
         };
-        layout.write(&stored, bounds, &mut bytes);
+        writer.push(&fields, layout);
     }
+    let mut bytes = Vec::new();
+    writer.finish(frame, layout, &mut bytes);
     ChildContent::Leaf { surfels: bytes, count: surfels.len() as u32 }
 }
 
@@ -244,8 +251,10 @@ pub(crate) struct PackedTreelets {
     pub nodes: Vec<u8>,
     /// Links to other pages, in the order of their indices.
     pub links: Vec<ExternalLink>,
-    /// Stored surfels, without header.
+    /// Surfel page, header still zero.
     pub surfels: Vec<u8>,
+    /// Surfels in it.
+    pub surfel_count: u32,
     /// Groups in the page.
     pub group_count: u32,
     /// Offsets of the treelets' roots.
@@ -258,7 +267,8 @@ pub(crate) fn pack_treelets(roots: &[&Group], layout: &SurfelLayout) -> PackedTr
     let mut packed = PackedTreelets {
         nodes: vec![0; NODE_PAGE_HEADER_BYTES],
         links: Vec::new(),
-        surfels: Vec::new(),
+        surfels: vec![0; SURFEL_PAGE_HEADER_BYTES],
+        surfel_count: 0,
         group_count: 0,
         root_offsets: Vec::new(),
     };
@@ -278,9 +288,10 @@ fn pack_group(group: &Group, layout: &SurfelLayout, packed: &mut PackedTreelets)
     for child in &group.children {
         let link = match &child.content {
             ChildContent::Leaf { surfels, count } => {
-                let first = (packed.surfels.len() / layout.stored_bytes()) as u32;
+                let offset = packed.surfels.len() as u32;
                 packed.surfels.extend_from_slice(surfels);
-                ChildLink::Leaf { first, count: *count }
+                packed.surfel_count += count;
+                ChildLink::Leaf { offset, count: *count }
             }
             ChildContent::Group(inner) => {
                 let link = ChildLink::Group(next_offset as u32);

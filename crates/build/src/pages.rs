@@ -3,9 +3,8 @@
 use crate::error::BuildError;
 use crate::pack::{Group, pack_treelets};
 use pbgi_format::{
-    ExternalLink, NodePageFields, PAGE_ALIGNMENT, PageEntry, PageId, PageKind,
-    SURFEL_PAGE_HEADER_BYTES, SurfelLayout, finish_node_page, page_checksum,
-    write_surfel_page_header,
+    ExternalLink, NodePageFields, PAGE_ALIGNMENT, PageEntry, PageId, PageKind, SurfelLayout,
+    finish_node_page, finish_surfel_page, page_checksum,
 };
 
 /// Where treelets become pages.
@@ -69,15 +68,11 @@ impl PageSink for PageBatch {
     ) -> Result<Vec<ExternalLink>, BuildError> {
         let mut packed = pack_treelets(roots, layout);
         let mut surfel_page = None;
-        if !packed.surfels.is_empty() {
+        if packed.surfel_count > 0 {
             self.surfel_bytes += packed.surfels.len() as u64;
-            let stride = layout.stored_bytes();
-            let mut page = Vec::with_capacity(SURFEL_PAGE_HEADER_BYTES + packed.surfels.len());
-            let count = (packed.surfels.len() / stride) as u32;
-            write_surfel_page_header(count, stride as u32, &mut page);
-            page.append(&mut packed.surfels);
+            finish_surfel_page(&mut packed.surfels, packed.surfel_count);
             surfel_page = Some(self.next_page()?);
-            self.add_page(PageKind::Surfels, &page);
+            self.add_page(PageKind::Surfels, &packed.surfels);
         }
         let page = self.next_page()?;
         let fields = NodePageFields { group_count: packed.group_count, surfel_page };

@@ -94,7 +94,6 @@ struct Frame {
     flip: u8,
     step: u8,
     cover_margin: f32,
-    bounds: Aabb,
     low: [[f32; CHILDREN_MAX]; 3],
     high: [[f32; CHILDREN_MAX]; 3],
 }
@@ -179,9 +178,11 @@ pub fn pick_cut<V: CutVisitor, T: Threshold>(
             continue;
         }
         let start = match group.link(index, frame.leaves & bit != 0) {
-            ChildLink::Leaf { first, count } => {
+            ChildLink::Leaf { offset, count } => {
                 let page = view.fields().surfel_page;
-                let leaf = Leaf { page, first, count, bounds: frame.bounds, owner: frame.page_id };
+                let place = (offset, count);
+                let leaf =
+                    Leaf { page, place, frame: group.leaf_frame(index), owner: frame.page_id };
                 take_leaf(reader, &leaf, receiver, visitor, order, &layout, stats)?;
                 continue;
             }
@@ -299,7 +300,6 @@ fn open_frame<T: Threshold>(
         flip: side.bitmask() as u8,
         step: 0,
         cover_margin: fields.cover_margin,
-        bounds: fields.bounds,
         low,
         high,
     })
@@ -308,9 +308,10 @@ fn open_frame<T: Threshold>(
 /// A leaf to be opened.
 struct Leaf {
     page: Option<PageId>,
-    first: u32,
-    count: u32,
-    bounds: Aabb,
+    /// First byte, and surfels.
+    place: (u32, u32),
+    /// Box of its positions.
+    frame: Aabb,
     /// The page that links to it.
     owner: PageId,
 }
@@ -329,27 +330,22 @@ fn take_leaf<V: CutVisitor>(
         return Err(reader.invalid_page(leaf.owner, bad_link("leaf: surfel page", u32::MAX)));
     };
     let page = reader.pin_page(id)?;
-    let stride = layout.stored_bytes();
-    let surfels = match SurfelPage::new(page.bytes(), stride) {
+    let surfels =
+        SurfelPage::new(page.bytes()).and_then(|page| page.leaf(leaf.place, &leaf.frame, layout));
+    let surfels = match surfels {
         Ok(surfels) => surfels,
         Err(error) => return Err(reader.invalid_page(id, error)),
     };
-    let Some(bytes) = surfels.surfels(leaf.first, leaf.count) else {
-        return Err(reader.invalid_page(leaf.owner, bad_link("leaf: surfels", leaf.first)));
-    };
-    let decode = |index: usize| {
-        let mut surfel = layout.read(&bytes[index * stride..(index + 1) * stride], &leaf.bounds);
-        surfel.center -= receiver.position;
-        surfel
-    };
     order.clear();
-    for index in 0..leaf.count as usize {
-        order.push((decode(index).center.length_squared(), index as u32));
+    for index in 0..surfels.count() {
+        let distance2 = (surfels.center(index) - receiver.position).length_squared();
+        order.push((distance2, index));
     }
     // Ties by place in the file, so that the order is total.
     order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     for &(distance2, index) in order.iter() {
-        let surfel = decode(index as usize);
+        let mut surfel = surfels.surfel(index);
+        surfel.center -= receiver.position;
         // Highest point of the disk above the tangent plane: r sin(angle between the normals).
         let tilt = surfel.normal.dot(receiver.normal);
         let sine = if surfel.isotropic { 1.0 } else { (1.0 - tilt * tilt).max(0.0).sqrt() };
@@ -357,7 +353,7 @@ fn take_leaf<V: CutVisitor>(
         if top <= receiver.bias + receiver.surfel_bias * surfel.radius || distance2 == 0.0 {
             continue;
         }
-        let seed = node_seed(id, leaf.first + index, 0);
+        let seed = node_seed(id, leaf.place.0 + (index << 24), 0);
         visitor.take_surfel(&SurfelSeen { surfel, seed, distance2 });
         stats.surfels += 1;
     }

@@ -19,10 +19,10 @@ pub enum ChildLink {
     Group(u32),
     /// A group in another page: index into the page's external links.
     External(u32),
-    /// A leaf: `count` surfels from `first` on in the page's surfel page.
+    /// A leaf in the page's surfel page.
     Leaf {
-        /// First surfel.
-        first: u32,
+        /// Its first byte.
+        offset: u32,
         /// Surfels, 1..=255.
         count: u32,
     },
@@ -63,6 +63,14 @@ impl ChildBox {
         let step = group.extent() * (1.0 / 255.0);
         let corner = |codes: [u8; 3]| group.min + step * Vec3::from_array(codes.map(f32::from));
         Aabb { min: corner(self.min), max: corner(self.max) }
+    }
+
+    /// The box that positions of a leaf with this box refer to: larger by half a step on every side, so that nothing sticks out.
+    #[must_use]
+    pub fn leaf_frame(&self, group: &Aabb) -> Aabb {
+        let half_step = group.extent() * (0.5 / 255.0);
+        let Aabb { min, max } = self.decode(group);
+        Aabb { min: min - half_step, max: max + half_step }
     }
 }
 
@@ -117,9 +125,9 @@ pub fn write_group(
                 offset
             }
             ChildLink::External(index) => EXTERNAL | index,
-            ChildLink::Leaf { first, count } => {
-                assert!((1..256).contains(&count) && first < 1 << 24, "leaf fits its link");
-                (first << LEAF_COUNT_BITS) | count
+            ChildLink::Leaf { offset, count } => {
+                assert!((1..256).contains(&count) && offset < 1 << 24, "leaf fits its link");
+                (offset << LEAF_COUNT_BITS) | count
             }
         };
         out.extend_from_slice(&code.to_le_bytes());
@@ -218,7 +226,7 @@ impl<'a> GroupView<'a> {
     pub fn link(&self, index: usize, is_leaf: bool) -> ChildLink {
         let code = read_u32(self.bytes, GROUP_FIXED_BYTES + 4 * index);
         if is_leaf {
-            ChildLink::Leaf { first: code >> LEAF_COUNT_BITS, count: code & 0xff }
+            ChildLink::Leaf { offset: code >> LEAF_COUNT_BITS, count: code & 0xff }
         } else if code & EXTERNAL != 0 {
             ChildLink::External(code & !EXTERNAL)
         } else {
@@ -240,21 +248,25 @@ impl<'a> GroupView<'a> {
         })
     }
 
+    /// Stored box of child `index`.
+    #[must_use]
+    #[inline(always)]
+    pub fn child_box(&self, index: usize) -> ChildBox {
+        let corner = |i: usize| self.bytes[GROUP_FIXED_BYTES + (4 + i) * self.child_count + index];
+        ChildBox { min: [0, 1, 2].map(corner), max: [3, 4, 5].map(corner) }
+    }
+
     /// Decoded box of child `index`.
     #[must_use]
     pub fn child_bounds(&self, index: usize) -> Aabb {
-        let bounds = self.fields().bounds;
-        let step = bounds.extent() * (1.0 / 255.0);
-        let corners = self.corners();
-        let at = |corner: usize| {
-            Vec3::new(
-                f32::from(corners[corner][index]),
-                f32::from(corners[corner + 1][index]),
-                f32::from(corners[corner + 2][index]),
-            ) * step
-                + bounds.min
-        };
-        Aabb { min: at(0), max: at(3) }
+        self.child_box(index).decode(&self.fields().bounds)
+    }
+
+    /// The box that positions of leaf `index` refer to.
+    #[must_use]
+    #[inline(always)]
+    pub fn leaf_frame(&self, index: usize) -> Aabb {
+        self.child_box(index).leaf_frame(&self.fields().bounds)
     }
 
     /// Stored bytes of the lobes of child `index`: a whole number of [`Lobe::stored_bytes`]; empty
@@ -292,7 +304,7 @@ mod tests {
         let children = vec![
             (ChildLink::Group(64), child(0.0, 1.3), vec![lobe(1.0)]),
             (ChildLink::External(5), child(1.1, 2.7), vec![lobe(2.0), lobe(3.0)]),
-            (ChildLink::Leaf { first: 1000, count: 255 }, child(2.2, 5.0), vec![lobe(4.0)]),
+            (ChildLink::Leaf { offset: 1000, count: 255 }, child(2.2, 5.0), vec![lobe(4.0)]),
         ];
         (fields, children)
     }

@@ -3,8 +3,11 @@
 //! This crate must never open a file, start a thread or hold a global; it cannot tell where its bytes come from.
 #![forbid(unsafe_code)]
 
+mod bits;
 mod group;
 mod header;
+mod leaf;
+mod leaf_writer;
 mod lobe;
 mod mini_float;
 mod page;
@@ -16,11 +19,14 @@ pub use group::{
     write_group,
 };
 pub use header::{Channels, FORMAT_VERSION, HEADER_BYTES, Header, HeaderFlags, MAGIC};
+pub use leaf::LeafView;
+pub use leaf_writer::{LeafWriter, SurfelFields};
 pub use lobe::{LOBES_MAX, Lobe};
 pub use mini_float::MiniFloat;
 pub use page::{
     ExternalLink, NODE_PAGE_HEADER_BYTES, NodePage, NodePageFields, PageKind,
-    SURFEL_PAGE_HEADER_BYTES, SurfelPage, finish_node_page, write_surfel_page_header,
+    SURFEL_PAGE_FIXED_BYTES, SURFEL_PAGE_HEADER_BYTES, SurfelPage, finish_node_page,
+    finish_surfel_page,
 };
 pub use page_table::{PAGE_ALIGNMENT, PAGE_ENTRY_BYTES, PageEntry, PageId, page_checksum};
 pub use surfel::{LeafSurfel, SurfelLayout};

@@ -1,6 +1,8 @@
 //! Pages: node pages hold groups, surfel pages the surfels of their leaves.
 
-use crate::{FormatError, PageId, read_u32};
+use crate::bits::SLACK_BYTES;
+use crate::{FormatError, LeafView, PageId, SurfelLayout, read_u32};
+use pbgi_math::Aabb;
 
 /// What a page holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,8 +27,11 @@ impl PageKind {
 /// Bytes before the first group of a node page.
 pub const NODE_PAGE_HEADER_BYTES: usize = 32;
 
-/// Bytes before the first surfel of a surfel page.
+/// Bytes before the first leaf of a surfel page.
 pub const SURFEL_PAGE_HEADER_BYTES: usize = 16;
+
+/// Bytes of a surfel page besides its leaves.
+pub const SURFEL_PAGE_FIXED_BYTES: usize = SURFEL_PAGE_HEADER_BYTES + SLACK_BYTES;
 
 /// A link to a group in another page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,11 +75,12 @@ pub fn finish_node_page(
     }
 }
 
-/// Appends the header of a surfel page.
-pub fn write_surfel_page_header(surfel_count: u32, surfel_bytes: u32, out: &mut Vec<u8>) {
-    for value in [PageKind::Surfels as u32, surfel_count, surfel_bytes, 0] {
-        out.extend_from_slice(&value.to_le_bytes());
-    }
+/// Completes a surfel page: `page` starts with [`SURFEL_PAGE_HEADER_BYTES`] zero bytes and the leaves; the header is
+/// filled in, and bytes that a reader may load past the last surfel are appended.
+pub fn finish_surfel_page(page: &mut Vec<u8>, surfel_count: u32) {
+    page[..4].copy_from_slice(&(PageKind::Surfels as u32).to_le_bytes());
+    page[4..8].copy_from_slice(&surfel_count.to_le_bytes());
+    page.extend_from_slice(&[0; SLACK_BYTES]);
 }
 
 /// A decoded node page.
@@ -156,50 +162,48 @@ impl<'a> NodePage<'a> {
 /// A decoded surfel page.
 #[derive(Clone, Copy, Debug)]
 pub struct SurfelPage<'a> {
-    surfels: &'a [u8],
-    surfel_bytes: usize,
+    bytes: &'a [u8],
 }
 
 impl<'a> SurfelPage<'a> {
-    /// Views a page whose checksum is already verified; `surfel_bytes` is the file's.
+    /// Views a page whose checksum is already verified.
     ///
     /// # Errors
     ///
-    /// If the header contradicts the page's size.
-    pub fn new(bytes: &'a [u8], surfel_bytes: usize) -> Result<Self, FormatError> {
-        if bytes.len() < SURFEL_PAGE_HEADER_BYTES {
-            return Err(FormatError::new("surfel page: bytes", bytes.len(), "at least 16"));
+    /// If the header is not that of a surfel page.
+    pub fn new(bytes: &'a [u8]) -> Result<Self, FormatError> {
+        if bytes.len() < SURFEL_PAGE_FIXED_BYTES {
+            return Err(FormatError::new("surfel page: bytes", bytes.len(), "at least 24"));
         }
         if read_u32(bytes, 0) != PageKind::Surfels as u32 {
             return Err(FormatError::new("surfel page: kind", read_u32(bytes, 0), 2));
         }
-        if read_u32(bytes, 8) as usize != surfel_bytes || read_u32(bytes, 12) != 0 {
-            return Err(FormatError::new(
-                "surfel page: bytes per surfel",
-                read_u32(bytes, 8),
-                surfel_bytes,
-            ));
+        let padding = &bytes[bytes.len() - SLACK_BYTES..];
+        if bytes[8..SURFEL_PAGE_HEADER_BYTES].iter().chain(padding).any(|&b| b != 0) {
+            return Err(FormatError::new("surfel page: reserved", "non-zero bytes", 0));
         }
-        let surfels = &bytes[SURFEL_PAGE_HEADER_BYTES..];
-        let expected = u64::from(read_u32(bytes, 4)) * surfel_bytes as u64;
-        if surfels.len() as u64 != expected {
-            return Err(FormatError::new("surfel page: surfel bytes", surfels.len(), expected));
-        }
-        Ok(Self { surfels, surfel_bytes })
+        Ok(Self { bytes })
     }
 
     /// Surfels in the page.
     #[must_use]
-    pub fn surfel_count(&self) -> usize {
-        self.surfels.len() / self.surfel_bytes
+    pub fn surfel_count(&self) -> u32 {
+        read_u32(self.bytes, 4)
     }
 
-    /// Stored bytes of `count` surfels from `first` on, if they are all in the page.
-    #[must_use]
+    /// The leaf of `count` surfels at byte `offset`; positions refer to `frame` ([`crate::GroupView::leaf_frame`]).
+    ///
+    /// # Errors
+    ///
+    /// If the leaf is not wholly inside the page.
     #[inline(always)]
-    pub fn surfels(&self, first: u32, count: u32) -> Option<&'a [u8]> {
-        let start = first as usize * self.surfel_bytes;
-        self.surfels.get(start..start + count as usize * self.surfel_bytes)
+    pub fn leaf(
+        &self,
+        (offset, count): (u32, u32),
+        frame: &Aabb,
+        layout: &SurfelLayout,
+    ) -> Result<LeafView<'a>, FormatError> {
+        LeafView::new(self.bytes, (offset, count), frame, layout)
     }
 }
 
@@ -230,15 +234,15 @@ mod tests {
     }
 
     #[test]
-    fn surfel_pages_refuse_other_strides() {
-        let mut page = Vec::new();
-        write_surfel_page_header(3, 14, &mut page);
-        page.extend_from_slice(&[7; 42]);
-        let view = SurfelPage::new(&page, 14).unwrap();
-        assert_eq!(view.surfel_count(), 3);
-        assert_eq!(view.surfels(1, 2).map(<[u8]>::len), Some(28));
-        assert!(view.surfels(2, 2).is_none());
-        assert!(SurfelPage::new(&page, 18).is_err());
-        assert!(SurfelPage::new(&page[..50], 14).is_err());
+    fn surfel_pages_refuse_what_is_none() {
+        let mut page = vec![0; SURFEL_PAGE_HEADER_BYTES + 3];
+        finish_surfel_page(&mut page, 7);
+        assert_eq!(SurfelPage::new(&page).unwrap().surfel_count(), 7);
+        assert!(SurfelPage::new(&page[..page.len() - 4]).is_err());
+        for at in [0, 8, 15, page.len() - 1] {
+            let mut bad = page.clone();
+            bad[at] ^= 1;
+            assert!(SurfelPage::new(&bad).is_err(), "{at}");
+        }
     }
 }

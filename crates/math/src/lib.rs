@@ -21,7 +21,8 @@ pub use frame::Frame;
 pub use glam::{Affine3A, DVec3, Mat3, Mat4, Vec2, Vec3, Vec4};
 pub use morton::{MORTON_AXIS_BITS, MortonCode, RootCube};
 pub use octahedral::{
-    decode_octahedral, decode_octahedral24, encode_octahedral, encode_octahedral24,
+    decode_octahedral, decode_octahedral20, decode_octahedral24, encode_octahedral,
+    encode_octahedral24, narrow_octahedral24,
 };
 pub use rgbe::SharedExponent;
 pub use section::{central_section_area, section_area};

@@ -66,24 +66,50 @@ pub fn decode_octahedral24(code: u32) -> Vec3 {
     unfold(dequantize(code), dequantize(code >> 12))
 }
 
+/// The 20-bit code, 10 bits per axis, nearest to a 24-bit one. The angle between the vectors stays below 0.25°
+/// (`tests::octahedral_error_is_bounded`).
+#[must_use]
+#[inline]
+pub fn narrow_octahedral24(code: u32) -> u32 {
+    let narrow = |bits: u32| {
+        let wide = (((bits << 20) as i32) >> 20).max(-2047);
+        // To nearest, away from 0 in the middle: the sign makes no difference.
+        let rounded = (wide.abs() * 511 + 1023) / 2047;
+        (if wide < 0 { -rounded } else { rounded }) as u32 & 0x3ff
+    };
+    narrow(code) | narrow(code >> 12) << 10
+}
+
+/// Unit vector of a 20-bit octahedral code; every code decodes to a unit vector.
+#[must_use]
+#[inline(always)]
+pub fn decode_octahedral20(code: u32) -> Vec3 {
+    let dequantize = |bits: u32| ((((bits << 22) as i32) >> 22) as f32 * (1.0 / 511.0)).max(-1.0);
+    unfold(dequantize(code), dequantize(code >> 10))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn octahedral_error_is_bounded() {
-        let (mut worst, mut worst24) = (0f32, 0f32);
+        let (mut worst, mut worst24, mut worst20) = (0f32, 0f32, 0f32);
         for i in 0..100_000u32 {
             let z = -1.0 + 2.0 * (i as f32 + 0.5) / 100_000.0;
             let phi = i as f32 * 2.399_963;
             let r = (1.0 - z * z).sqrt();
             let unit = Vec3::new(r * phi.cos(), r * phi.sin(), z).normalize();
             worst = worst.max(decode_octahedral(encode_octahedral(unit)).cross(unit).length());
-            let narrow = decode_octahedral24(encode_octahedral24(unit));
+            let code = encode_octahedral24(unit);
+            let narrow = decode_octahedral24(code);
             worst24 = worst24.max(narrow.cross(unit).length());
+            let narrower = decode_octahedral20(narrow_octahedral24(code));
+            worst20 = worst20.max(narrower.cross(narrow).length());
         }
         assert!(worst.to_degrees() < 0.004, "{}°", worst.to_degrees());
         assert!(worst24.to_degrees() < 0.07, "{}°", worst24.to_degrees());
+        assert!(worst20.to_degrees() < 0.25, "{}°", worst20.to_degrees());
     }
 
     #[test]
@@ -104,10 +130,12 @@ mod tests {
         for axis in [Vec3::X, Vec3::Y, Vec3::Z, Vec3::NEG_X, Vec3::NEG_Y, Vec3::NEG_Z] {
             assert_eq!(decode_octahedral(encode_octahedral(axis)), axis);
             assert_eq!(decode_octahedral24(encode_octahedral24(axis)), axis);
+            assert_eq!(decode_octahedral20(narrow_octahedral24(encode_octahedral24(axis))), axis);
         }
         for code in (0..=u32::MAX).step_by(65_537 * 3) {
             assert!((decode_octahedral(code).length() - 1.0).abs() < 1e-5);
             assert!((decode_octahedral24(code >> 8).length() - 1.0).abs() < 1e-5);
+            assert!((decode_octahedral20(code >> 12).length() - 1.0).abs() < 1e-5);
         }
     }
 }

@@ -196,7 +196,7 @@ impl Octree {
         };
         let checked = match entry.kind {
             PageKind::Nodes => NodePage::new(&decoded, id).map(drop),
-            PageKind::Surfels => SurfelPage::new(&decoded, self.layout().stored_bytes()).map(drop),
+            PageKind::Surfels => SurfelPage::new(&decoded).map(drop),
         };
         checked.map_err(invalid)?;
         Ok(decoded)

@@ -41,9 +41,14 @@ impl Octree {
     /// Names the first damage.
     pub fn verify(&self, mut progress: impl FnMut(u64)) -> Result<VerifyReport, StoreError> {
         let mut report = VerifyReport { leaf_sizes: vec![0; 256], ..VerifyReport::default() };
+        let mut surfels = 0;
         for (index, entry) in self.pages().iter().enumerate() {
             let id = PageId(index as u32);
-            drop(self.read_page(id, entry)?);
+            let page = self.read_page(id, entry)?;
+            if entry.kind == PageKind::Surfels {
+                let wrap = |source| self.reader().invalid_page(id, source);
+                surfels += u64::from(SurfelPage::new(&page).map_err(wrap)?.surfel_count());
+            }
             report.bytes_read += u64::from(entry.stored_bytes);
             let class = entry.decoded_bytes as usize / 4096;
             if report.page_sizes.len() <= class {
@@ -52,7 +57,7 @@ impl Octree {
             report.page_sizes[class] += 1;
             progress(report.bytes_read);
         }
-        Walk::run(self, &mut report)?;
+        Walk::run(self, &mut report, surfels)?;
         Ok(report)
     }
 }
@@ -76,7 +81,12 @@ struct Walk<'a> {
 }
 
 impl<'a> Walk<'a> {
-    fn run(octree: &'a Octree, report: &'a mut VerifyReport) -> Result<(), StoreError> {
+    /// `page_surfels` is the sum of what the surfel pages say they hold.
+    fn run(
+        octree: &'a Octree,
+        report: &'a mut VerifyReport,
+        page_surfels: u64,
+    ) -> Result<(), StoreError> {
         let header = *octree.header();
         let mut walk = Self { octree, report, surfels: 0, nodes: 0, leaves: 0, groups: 0 };
         let mut reader = octree.reader();
@@ -94,7 +104,7 @@ impl<'a> Walk<'a> {
             let page = reader.pin_page(visit.page)?;
             walk.visit_group(&visit, page.bytes(), &mut reader, &mut stack)?;
         }
-        walk.check_totals()
+        walk.check_totals(page_surfels)
     }
 
     fn invalid(
@@ -160,8 +170,9 @@ impl<'a> Walk<'a> {
             self.check_lobes(page, &group, index)?;
             let (mut next_page, mut next_offset) = (page, 0);
             match group.link(index, fields.leaves & (1 << octant) != 0) {
-                ChildLink::Leaf { first, count } => {
-                    self.visit_leaf(visit, &view, reader, (first, count), &fields.bounds)?;
+                ChildLink::Leaf { offset, count } => {
+                    let frame = group.leaf_frame(index);
+                    self.visit_leaf(visit, &view, reader, (offset, count), &frame)?;
                 }
                 ChildLink::Group(offset) => next_offset = offset,
                 ChildLink::External(link) => {
@@ -208,40 +219,39 @@ impl<'a> Walk<'a> {
         visit: &Visit,
         view: &NodePage<'_>,
         reader: &mut crate::Reader<'_>,
-        (first, count): (u32, u32),
-        bounds: &pbgi_math::Aabb,
+        place: (u32, u32),
+        frame: &pbgi_math::Aabb,
     ) -> Result<(), StoreError> {
         let layout = self.octree.layout();
         let Some(id) = view.fields().surfel_page else {
             return Err(self.invalid(visit.page, "leaf: surfel page", "none", "a surfel page"));
         };
         let page = reader.pin_page(id)?;
-        let surfels = SurfelPage::new(page.bytes(), layout.stored_bytes())
+        let leaf = SurfelPage::new(page.bytes())
+            .and_then(|surfels| surfels.leaf(place, frame, &layout))
             .map_err(|source| reader.invalid_page(id, source))?;
-        let Some(bytes) = surfels.surfels(first, count).filter(|b| !b.is_empty()) else {
-            let total = surfels.surfel_count();
-            return Err(self.invalid(visit.page, "leaf: surfels", first + count, total));
-        };
-        for stored in bytes.chunks_exact(layout.stored_bytes()) {
-            let surfel = layout.read(stored, bounds);
+        for index in 0..leaf.count() {
+            let surfel = leaf.surfel(index);
             let sound = surfel.radius > 0.0 && surfel.radius.is_finite() && surfel.area > 0.0;
             if !(sound && surfel.center.is_finite()) {
                 return Err(self.invalid(id, "surfel", "radius or area 0", "above 0"));
             }
         }
+        let count = u64::from(leaf.count());
         self.leaves += 1;
-        self.surfels += u64::from(count);
+        self.surfels += count;
         self.report.leaf_sizes[count as usize] += 1;
         let level = &mut self.report.levels[visit.depth];
         level.leaves += 1;
-        level.surfels += u64::from(count);
+        level.surfels += count;
         Ok(())
     }
 
-    fn check_totals(&self) -> Result<(), StoreError> {
+    fn check_totals(&self, page_surfels: u64) -> Result<(), StoreError> {
         let header = self.octree.header();
         for (place, found, expected) in [
             ("header: surfels", self.surfels, header.surfel_count),
+            ("surfel pages: surfels", page_surfels, header.surfel_count),
             ("header: nodes", self.nodes, header.node_count),
             ("header: leaves", self.leaves, header.leaf_count),
             ("header: depth", self.report.levels.len() as u64, u64::from(header.depth)),

@@ -8,7 +8,7 @@ use pbgi_math::Aabb;
 /// What is still to be visited.
 enum Visit {
     Group { page: PageId, offset: u32, depth: u32 },
-    Leaf { node_page: PageId, page: Option<PageId>, first: u32, count: u32, bounds: Aabb },
+    Leaf { node_page: PageId, page: Option<PageId>, place: (u32, u32), frame: Aabb },
 }
 
 /// Calls `visit` for every leaf, in the order of the Morton curve: with the number of surfels
@@ -53,12 +53,12 @@ pub fn try_for_each_leaf<E: From<StoreError>>(
                 groups += 1;
                 push_children(reader, page, offset, depth, &mut stack)?;
             }
-            Visit::Leaf { node_page, page, first, count, bounds } => {
+            Visit::Leaf { node_page, page, place, frame } => {
                 let Some(page) = page else {
                     let place = "leaf: surfel page";
                     return Err(invalid(reader, node_page, place, "none", "a page").into());
                 };
-                read_leaf(reader, page, (first, count), &bounds, &mut surfels)?;
+                read_leaf(reader, page, place, &frame, &mut surfels)?;
                 visit(done, &surfels)?;
                 done += surfels.len() as u64;
             }
@@ -85,11 +85,12 @@ fn push_children(
     let start = stack.len();
     for (index, octant) in octants.enumerate() {
         let child = match group.link(index, fields.leaves & (1 << octant) != 0) {
-            ChildLink::Leaf { first, count } => {
-                let surfel_page = view.fields().surfel_page;
-                let bounds = fields.bounds;
-                Visit::Leaf { node_page: page, page: surfel_page, first, count, bounds }
-            }
+            ChildLink::Leaf { offset, count } => Visit::Leaf {
+                node_page: page,
+                page: view.fields().surfel_page,
+                place: (offset, count),
+                frame: group.leaf_frame(index),
+            },
             ChildLink::Group(offset) => Visit::Group { page, offset, depth: depth + 1 },
             ChildLink::External(link) => {
                 let Some(link) = view.external_link(link) else {
@@ -104,24 +105,21 @@ fn push_children(
     Ok(())
 }
 
-/// Decodes the surfels `first..first + count` of a page.
+/// Decodes the leaf of so many surfels at a byte of a page.
 fn read_leaf(
     reader: &mut Reader<'_>,
     page: PageId,
-    (first, count): (u32, u32),
-    bounds: &Aabb,
+    place: (u32, u32),
+    frame: &Aabb,
     out: &mut Vec<LeafSurfel>,
 ) -> Result<(), StoreError> {
     let layout = reader.octree().layout();
     let pinned = reader.pin_page(page)?;
-    let stride = layout.stored_bytes();
-    let view = SurfelPage::new(pinned.bytes(), stride).map_err(|e| reader.invalid_page(page, e))?;
-    let Some(bytes) = view.surfels(first, count) else {
-        let place = "leaf: surfels";
-        return Err(invalid(reader, page, place, view.surfel_count(), "those of its leaves"));
-    };
+    let leaf = SurfelPage::new(pinned.bytes())
+        .and_then(|view| view.leaf(place, frame, &layout))
+        .map_err(|e| reader.invalid_page(page, e))?;
     out.clear();
-    out.extend(bytes.chunks_exact(stride).map(|stored| layout.read(stored, bounds)));
+    out.extend((0..leaf.count()).map(|index| leaf.surfel(index)));
     Ok(())
 }
 

@@ -137,7 +137,7 @@ struct LayoutArgs {
     #[arg(long, value_name = "SIZE", default_value = "64KiB", value_parser = cli::parse_bytes)]
     page_bytes: u64,
     /// Most surfels of a leaf
-    #[arg(long, value_name = "N", default_value_t = 16)]
+    #[arg(long, value_name = "N", default_value_t = 32)]
     leaf_surfels: usize,
     /// Compress pages
     #[arg(long)]
