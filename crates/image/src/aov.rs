@@ -30,11 +30,19 @@ pub enum Aov {
     Depth,
     /// Diffuse albedo: 3 channels.
     Albedo,
+    /// GGX roughness, 0..=1: 1 channel.
+    Roughness,
+    /// Share of the surface that is metal, 0..=1: 1 channel.
+    Metalness,
+    /// Weight of the specular lobe, 0..=1: 1 channel.
+    Specular,
+    /// Unit vector from the surface to the eye, world space: 3 channels.
+    View,
 }
 
 impl Aov {
     /// All quantities.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 16] = [
         Self::Beauty,
         Self::DiffuseIndirect,
         Self::DiffuseDirect,
@@ -47,15 +55,27 @@ impl Aov {
         Self::Normal,
         Self::Depth,
         Self::Albedo,
+        Self::Roughness,
+        Self::Metalness,
+        Self::Specular,
+        Self::View,
     ];
 
     /// Whether the components are X, Y, Z rather than R, G, B.
     fn is_vector(self) -> bool {
-        matches!(self, Self::BentNormal | Self::Position | Self::Normal)
+        matches!(self, Self::BentNormal | Self::Position | Self::Normal | Self::View)
     }
 
     fn is_scalar(self) -> bool {
-        matches!(self, Self::Occlusion | Self::SkyVisibility | Self::Depth)
+        matches!(
+            self,
+            Self::Occlusion
+                | Self::SkyVisibility
+                | Self::Depth
+                | Self::Roughness
+                | Self::Metalness
+                | Self::Specular
+        )
     }
 }
 
@@ -118,6 +138,10 @@ impl AovNames {
                 "N",
                 "Z",
                 "albedo",
+                "specular_roughness",
+                "metalness",
+                "specular",
+                "V",
             ],
             AovPreset::Blender => [
                 "Combined",
@@ -132,6 +156,10 @@ impl AovNames {
                 "Normal",
                 "Depth",
                 "Diffuse Color",
+                "Roughness",
+                "Metallic",
+                "Specular",
+                "View",
             ],
             AovPreset::Renderman => [
                 "Ci",
@@ -146,6 +174,10 @@ impl AovNames {
                 "Nn",
                 "z",
                 "albedo",
+                "roughness",
+                "metallic",
+                "specular",
+                "Vn",
             ],
         };
         Self { layers: layers.map(str::to_owned) }
@@ -181,10 +213,13 @@ impl AovNames {
     /// The channels of `aov` in an image of any origin: these names first, then those of every
     /// preset and common synonyms; components `X/Y/Z`, `R/G/B` or `r/g/b`; with or without a view
     /// layer before them (`ViewLayer.Normal.X`). Beauty is found without its alpha.
+    ///
+    /// What renderers write in world space beside a version in camera space (`__Nworld` beside `Nn`) is found first.
     #[must_use]
     pub fn find<'a>(&self, image: &'a Image, aov: Aov) -> Option<Vec<&'a [f32]>> {
         let presets = AovPreset::ALL.map(Self::preset);
-        let own = std::iter::once(self.layer(aov));
+        let worlds = world_layers(aov).iter().copied();
+        let own = worlds.chain(std::iter::once(self.layer(aov)));
         let known = presets.iter().map(|names| names.layer(aov));
         own.chain(known).chain(synonyms(aov).iter().copied()).find_map(|layer| {
             let components: &[&[&str]] = if aov.is_scalar() {
@@ -199,6 +234,15 @@ impl AovNames {
     }
 }
 
+/// Names that say world space, of quantities which the same file may also have in camera space.
+fn world_layers(aov: Aov) -> &'static [&'static str] {
+    match aov {
+        Aov::Position => &["__Pworld"],
+        Aov::Normal => &["__Nworld", "Nworld"],
+        _ => &[],
+    }
+}
+
 fn synonyms(aov: Aov) -> &'static [&'static str] {
     match aov {
         Aov::Beauty => &["rgba", "beauty"],
@@ -206,6 +250,8 @@ fn synonyms(aov: Aov) -> &'static [&'static str] {
         Aov::Normal => &["normal", "N_world", "normals"],
         Aov::Depth => &["depth"],
         Aov::Albedo => &["diffuse_albedo", "DiffCol"],
+        Aov::Metalness => &["Metalness"],
+        Aov::View => &["view", "viewdir"],
         _ => &[],
     }
 }
