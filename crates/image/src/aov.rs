@@ -217,20 +217,36 @@ impl AovNames {
     /// What renderers write in world space beside a version in camera space (`__Nworld` beside `Nn`) is found first.
     #[must_use]
     pub fn find<'a>(&self, image: &'a Image, aov: Aov) -> Option<Vec<&'a [f32]>> {
+        let names: Vec<&str> = image.channels.iter().map(|c| c.name.as_str()).collect();
+        let indices = self.find_among(&names, aov)?;
+        Some(indices.into_iter().map(|index| image.channels[index].data.as_slice()).collect())
+    }
+
+    /// As [`AovNames::find`], among the `names` of channels: their indices.
+    #[must_use]
+    pub fn find_among(&self, names: &[&str], aov: Aov) -> Option<Vec<usize>> {
         let presets = AovPreset::ALL.map(Self::preset);
         let worlds = world_layers(aov).iter().copied();
         let own = worlds.chain(std::iter::once(self.layer(aov)));
         let known = presets.iter().map(|names| names.layer(aov));
         own.chain(known).chain(synonyms(aov).iter().copied()).find_map(|layer| {
-            let components: &[&[&str]] = if aov.is_scalar() {
-                &[&[""], &["Z"], &["V"], &["Y"], &["R"], &["r"]]
-            } else {
-                &[&["X", "Y", "Z"], &["x", "y", "z"], &["R", "G", "B"], &["r", "g", "b"]]
+            let components: &[&[&str]] = match aov {
+                // A color of that name is the light of the lobe, not its weight.
+                Aov::Specular => &[&[""], &["X"], &["V"], &["Y"]],
+                _ if aov.is_scalar() => &[&[""], &["Z"], &["V"], &["Y"], &["X"], &["R"], &["r"]],
+                _ => &[&["X", "Y", "Z"], &["x", "y", "z"], &["R", "G", "B"], &["r", "g", "b"]],
             };
             components.iter().find_map(|set| {
-                set.iter().map(|component| find_channel(image, &join(layer, component))).collect()
+                set.iter().map(|component| find_name(names, &join(layer, component))).collect()
             })
         })
+    }
+
+    /// The channel among `names` that says how much of a pixel is covered.
+    #[must_use]
+    pub fn find_alpha(names: &[&str]) -> Option<usize> {
+        let known = ["A", "a", "alpha", "Combined.A", "RGBA.A", "rgba.A", "beauty.A", "Ci.A"];
+        known.iter().find_map(|name| find_name(names, name))
     }
 }
 
@@ -264,18 +280,17 @@ fn join(layer: &str, component: &str) -> String {
     }
 }
 
-/// The channel `name`, or the first whose name is `name` after a view layer and a dot.
-fn find_channel<'a>(image: &'a Image, name: &str) -> Option<&'a [f32]> {
-    image.channel(name).or_else(|| {
+/// Index of the channel `name`, or of the first whose name is `name` after a view layer and a dot.
+fn find_name(names: &[&str], name: &str) -> Option<usize> {
+    names.iter().position(|full| *full == name).or_else(|| {
         // A bare R would otherwise be found in any layer.
         let layered = name.contains('.');
-        let matches = |full: &str| {
+        let matches = |full: &&str| {
             full.strip_suffix(name)
                 .and_then(|head| head.strip_suffix('.'))
                 .is_some_and(|view| !view.contains('.'))
         };
-        let found = image.channels.iter().find(|c| layered && matches(&c.name));
-        found.map(|c| c.data.as_slice())
+        names.iter().position(|full| layered && matches(full))
     })
 }
 
@@ -348,5 +363,24 @@ mod tests {
         assert_eq!(values(Aov::Depth), [6.0]);
         assert_eq!(names.find(&image, Aov::Beauty), None);
         assert_eq!(names.find(&image, Aov::Albedo), None);
+    }
+
+    #[test]
+    fn surface_properties_are_told_from_light() {
+        let find = |names: &[&str], aov| AovNames::default().find_among(names, aov);
+        assert_eq!(find(&["specular.R", "specular.G", "specular.B"], Aov::Specular), None);
+        assert_eq!(find(&["x", "specular"], Aov::Specular), Some(vec![1]));
+        assert_eq!(find(&["ViewLayer.Roughness.X"], Aov::Roughness), Some(vec![0]));
+        assert_eq!(find(&["specular_roughness"], Aov::Roughness), Some(vec![0]));
+        assert_eq!(find(&["ViewLayer.Metallic.V"], Aov::Metalness), Some(vec![0]));
+        assert_eq!(AovNames::find_alpha(&["R", "ViewLayer.Combined.A"]), Some(1));
+        assert_eq!(AovNames::find_alpha(&["albedo.A"]), None);
+    }
+
+    /// RenderMan writes both; only one is in world space.
+    #[test]
+    fn world_space_is_preferred() {
+        let names = ["Nn.X", "Nn.Y", "Nn.Z", "__Nworld.X", "__Nworld.Y", "__Nworld.Z"];
+        assert_eq!(AovNames::default().find_among(&names, Aov::Normal), Some(vec![3, 4, 5]));
     }
 }

@@ -18,7 +18,7 @@ use std::ops::Range;
 use std::path::Path;
 
 /// Header attributes that describe the layout of the file and so cannot be set by a caller.
-const LAYOUT_ATTRIBUTES: [&str; 14] = [
+pub const LAYOUT_ATTRIBUTES: [&str; 14] = [
     "channels",
     "chunkCount",
     "compression",

@@ -24,7 +24,7 @@ pub use atomic::write_atomically;
 pub use environment::{read_environment, read_hdr};
 pub use error::ImageError;
 pub use exr_read::{read_exr, read_stored_exr};
-pub use exr_write::{write_environment_exr, write_exr, write_windowed_exr};
+pub use exr_write::{LAYOUT_ATTRIBUTES, write_environment_exr, write_exr, write_windowed_exr};
 pub use metrics::{ErrorMetrics, MetricsError, compare};
 pub use png::write_png;
 pub use tone::{ToneMap, auto_exposure};

@@ -1,8 +1,10 @@
 //! Which camera a frame is seen through.
 
 use crate::PbgiError;
+use crate::camera_file::FileCamera;
 use pbgi_math::{Aabb, DVec3, Vec3};
 use pbgi_scene::{Camera, Scene};
+use std::path::PathBuf;
 
 /// Vertical field of view where none is given, in degrees.
 const FOV_DEGREES: f32 = 45.0;
@@ -15,6 +17,13 @@ pub enum CameraChoice {
     Default,
     /// A camera of the scene by its name, or else by its number from 0.
     Named(String),
+    /// The camera of a JSON file, or of the attributes of an EXR image.
+    File {
+        /// The file.
+        path: PathBuf,
+        /// Full vertical field of view in degrees where the file has none; 45 if not given.
+        fov_degrees: Option<f32>,
+    },
     /// A camera given by numbers.
     LookAt {
         /// Place of the eye in the world.
@@ -62,13 +71,12 @@ impl CameraContext<'_> {
                 let found = by_name.or_else(by_number).cloned();
                 found.ok_or_else(|| no_such_camera(name, cameras))
             }
+            CameraChoice::File { path, fov_degrees } => {
+                let fov = check_fov(*fov_degrees)?;
+                Ok(FileCamera::read(path)?.camera(self.origin, fov))
+            }
             CameraChoice::LookAt { position, target, up, fov_degrees } => {
-                let fov = fov_degrees.unwrap_or(FOV_DEGREES);
-                if !(fov > 0.0 && fov < 179.0) {
-                    return Err(PbgiError::usage(format!(
-                        "the field of view is {fov} degrees, expected more than 0 and less than 179"
-                    )));
-                }
+                let fov = check_fov(*fov_degrees)?;
                 let up = up.unwrap_or(self.up);
                 if !(position.is_finite() && target.is_finite()) || position == target {
                     return Err(PbgiError::usage(format!(
@@ -89,11 +97,24 @@ impl CameraContext<'_> {
     }
 }
 
+/// A field of view in degrees, that of no choice in place of none.
+fn check_fov(fov_degrees: Option<f32>) -> Result<f32, PbgiError> {
+    let fov = fov_degrees.unwrap_or(FOV_DEGREES);
+    if fov > 0.0 && fov < 179.0 {
+        return Ok(fov);
+    }
+    Err(PbgiError::usage(format!(
+        "the field of view is {fov} degrees, expected more than 0 and less than 179"
+    )))
+}
+
 fn no_such_camera(name: &str, cameras: &[Camera]) -> PbgiError {
     let list: Vec<String> =
         cameras.iter().enumerate().map(|(i, c)| format!("{i} \"{}\"", c.name)).collect();
     let there = match list.is_empty() {
-        true => "there are none; use --camera-position and --camera-target".to_owned(),
+        true => {
+            "there are none; use --camera-file, or --camera-position and --camera-target".to_owned()
+        }
         false => format!("there are {}", list.join(", ")),
     };
     PbgiError::usage(format!("there is no camera \"{name}\"; {there}"))

@@ -11,7 +11,10 @@ use crate::shade::{Session, ShadeReport, read_header, up_axis};
 use crate::splat::hide_surfels;
 use crate::{PbgiError, Progress};
 use pbgi_format::Header;
-use pbgi_image::{AttributeValue, Image, ToneMap, auto_exposure, write_exr, write_png};
+use pbgi_image::{
+    AttributeValue, Image, ImageWindow, StoredChannel, ToneMap, auto_exposure, write_png,
+    write_windowed_exr,
+};
 use pbgi_math::{DVec3, Vec3};
 use pbgi_scene::{CameraView, HideOptions, Micropolygon, PixelWindow, Scene, hide};
 use pbgi_schedule::{GatherParts, Receiver, Shading};
@@ -30,12 +33,16 @@ pub struct Frame {
     pub attributes: Vec<(String, AttributeValue)>,
     /// What shading did.
     pub report: ShadeReport,
+    /// Where the pixels lie in what the camera saw.
+    pub(crate) window: ImageWindow,
+    /// Channels of another file that go along as they are.
+    pub(crate) passed: Vec<StoredChannel>,
     /// What the preview shows.
-    preview: Vec<[f32; 3]>,
+    pub(crate) preview: Vec<[f32; 3]>,
     /// Where the preview shows surfaces.
-    covered: Vec<bool>,
+    pub(crate) covered: Vec<bool>,
     /// Whether the preview shows light, not just occlusion.
-    is_lit: bool,
+    pub(crate) is_lit: bool,
 }
 
 impl Frame {
@@ -45,7 +52,8 @@ impl Frame {
     ///
     /// If the file cannot be written.
     pub fn write_exr(&self, path: &Path) -> Result<(), PbgiError> {
-        Ok(write_exr(path, &self.image, &self.attributes)?)
+        let Self { image, passed, window, attributes, .. } = self;
+        Ok(write_windowed_exr(path, image, passed, window, attributes)?)
     }
 
     /// Writes the beauty as an 8-bit picture with a filmic curve, or ambient occlusion as it is where
@@ -329,7 +337,9 @@ impl<'a> FrameJob<'a> {
             crate::output::frame_attributes(self.request, &self.view, self.origin, &report);
         let (preview, covered) = image.preview(is_lit);
         let image = image.into_image(&self.request.names);
-        Ok(Frame { image, attributes, report, preview, covered, is_lit })
+        let window = ImageWindow::whole(image.width, image.height);
+        let passed = Vec::new();
+        Ok(Frame { image, attributes, report, window, passed, preview, covered, is_lit })
     }
 }
 

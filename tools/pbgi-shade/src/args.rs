@@ -2,7 +2,7 @@
 
 use clap::{Args, Parser, ValueEnum};
 use pbgi::cli::{CommonArgs, parse_resolution, parse_triple};
-use pbgi::{Aov, AovNames, AovPreset, FRAME_AOVS};
+use pbgi::{Aov, AovNames, AovPreset};
 use pbgi::{CameraChoice, EnvironmentSpec, LightSource, PbgiError, ShadeSettings};
 use std::path::PathBuf;
 
@@ -28,6 +28,9 @@ pub struct ShadeArgs {
     /// What is seen or shaded
     #[command(flatten)]
     pub view: ViewArgs,
+    /// A G-buffer
+    #[command(flatten)]
+    pub gbuffer: GBufferArgs,
     /// Points
     #[command(flatten)]
     pub points: PointArgs,
@@ -53,8 +56,11 @@ pub struct ViewArgs {
     #[arg(long, value_name = "FILE")]
     pub scene: Option<String>,
     /// Camera of the scene, by name or number
-    #[arg(long, value_name = "NAME|INDEX", conflicts_with = "camera_position")]
+    #[arg(long, value_name = "NAME|INDEX", conflicts_with_all = ["camera_position", "camera_file"])]
     pub camera: Option<String>,
+    /// Camera of a JSON file, or of an EXR picture's attributes
+    #[arg(long, value_name = "JSON|EXR", conflicts_with = "camera_position")]
+    pub camera_file: Option<PathBuf>,
     /// Place of the eye
     #[arg(long, value_name = "X,Y,Z", requires = "camera_target", value_parser = parse_place,
           allow_hyphen_values = true)]
@@ -64,7 +70,7 @@ pub struct ViewArgs {
           allow_hyphen_values = true)]
     pub camera_target: Option<[f64; 3]>,
     /// Vertical field of view in degrees [default: 45]
-    #[arg(long, value_name = "DEG", requires = "camera_position")]
+    #[arg(long, value_name = "DEG", conflicts_with = "camera")]
     pub fov: Option<f32>,
     /// What is up in the picture [default: the file's up axis]
     #[arg(long, value_name = "X,Y,Z", requires = "camera_position", value_parser = parse_triple,
@@ -95,19 +101,50 @@ impl ViewArgs {
                 fov_degrees: self.fov,
             };
         }
+        if let Some(path) = self.camera_file.clone() {
+            return CameraChoice::File { path, fov_degrees: self.fov };
+        }
         self.camera.clone().map_or(CameraChoice::Default, CameraChoice::Named)
     }
 }
+
+/// Surfaces that another renderer saw, instead of a picture of our own.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "G-buffer instead of a picture")]
+pub struct GBufferArgs {
+    /// EXR with positions P and normals N (and albedo …), named as by Arnold, Blender or RenderMan
+    #[arg(long, value_name = "EXR", conflicts_with_all = ["scene", "camera"])]
+    pub gbuffer: Option<PathBuf>,
+    /// Space of its vectors
+    #[arg(long, value_enum, value_name = "SPACE", default_value = "world", requires = "gbuffer")]
+    pub gbuffer_space: SpaceArg,
+    /// Take its other channels and attributes along, bit for bit
+    #[arg(long, requires = "gbuffer")]
+    pub pass_through: bool,
+}
+
+/// The space of a G-buffer's vectors.
+#[derive(Clone, Copy, Debug, Default, ValueEnum)]
+pub enum SpaceArg {
+    /// The world
+    #[default]
+    World,
+    /// The camera, as RenderMan's P and Nn; the attribute worldToCamera leads back
+    Camera,
+}
+
+/// What points have nothing to do with.
+const PICTURE_FLAGS: [&str; 5] = ["scene", "gbuffer", "camera", "camera_position", "camera_file"];
 
 /// Which points are shaded instead of a picture.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Points instead of a picture")]
 pub struct PointArgs {
     /// Points with normals; the other columns of the file pass through
-    #[arg(long, value_name = "PLY", conflicts_with_all = ["scene", "camera", "camera_position"])]
+    #[arg(long, value_name = "PLY", conflicts_with_all = PICTURE_FLAGS)]
     pub receivers: Option<PathBuf>,
     /// Every surfel of the octree
-    #[arg(long, conflicts_with_all = ["receivers", "scene", "camera", "camera_position"])]
+    #[arg(long, conflicts_with = "receivers", conflicts_with_all = PICTURE_FLAGS)]
     pub surfels: bool,
 }
 
@@ -192,10 +229,10 @@ pub struct OutputArgs {
 }
 
 impl OutputArgs {
-    /// The channels asked for.
-    pub fn parse_aovs(&self) -> Result<Vec<Aov>, PbgiError> {
+    /// The channels asked for, among those `known`.
+    pub fn parse_aovs(&self, known: &[Aov]) -> Result<Vec<Aov>, PbgiError> {
         if self.aovs == "all" {
-            return Ok(FRAME_AOVS.to_vec());
+            return Ok(known.to_vec());
         }
         let names = AovNames::default();
         let name_of = |aov: Aov| match aov {
@@ -204,16 +241,16 @@ impl OutputArgs {
         };
         let mut aovs = Vec::new();
         for name in self.aovs.split(',').map(str::trim).filter(|name| !name.is_empty()) {
-            let found = FRAME_AOVS.into_iter().find(|a| name_of(*a).eq_ignore_ascii_case(name));
+            let found = known.iter().find(|a| name_of(**a).eq_ignore_ascii_case(name));
             let Some(aov) = found else {
-                let known: Vec<&str> = FRAME_AOVS.iter().map(|a| name_of(*a)).collect();
+                let known: Vec<&str> = known.iter().map(|a| name_of(*a)).collect();
                 return Err(PbgiError::usage(format!(
                     "--aovs: there is no `{name}`; there are {}",
                     known.join(", ")
                 )));
             };
-            if !aovs.contains(&aov) {
-                aovs.push(aov);
+            if !aovs.contains(aov) {
+                aovs.push(*aov);
             }
         }
         if aovs.is_empty() {
@@ -275,6 +312,7 @@ fn parse_place(text: &str) -> Result<[f64; 3], String> {
 mod tests {
     use super::*;
     use clap::CommandFactory;
+    use pbgi::FRAME_AOVS;
 
     fn parse(arguments: &[&str]) -> Result<ShadeArgs, clap::Error> {
         let all = ["pbgi-shade", "a.pbgi", "-o", "a.exr"].iter().chain(arguments);
@@ -305,7 +343,8 @@ mod tests {
 
     #[test]
     fn channels_are_found_by_name() {
-        let aovs = |list: &str| parse(&["--aovs", list]).unwrap().output_options.parse_aovs();
+        let aovs =
+            |list: &str| parse(&["--aovs", list]).unwrap().output_options.parse_aovs(&FRAME_AOVS);
         assert_eq!(aovs("all").unwrap().len(), FRAME_AOVS.len());
         assert_eq!(aovs("beauty, ao,P,ao").unwrap(), [Aov::Beauty, Aov::Occlusion, Aov::Position]);
         assert!(aovs("gloss").unwrap_err().to_string().contains("beauty, diffuse_indirect"));

@@ -3,13 +3,15 @@
 
 mod args;
 
-use args::ShadeArgs;
+use args::{ShadeArgs, SpaceArg};
 use clap::Parser;
 use pbgi::cli::{self, format_table};
 use pbgi::{
-    FrameRequest, PbgiError, PointSource, PointsRequest, Progress, ShadeReport, ShadeSettings,
-    check_writable, load_scene, refuse_to_overwrite, shade_frame, shade_points,
+    FRAME_AOVS, Frame, FrameRequest, GBUFFER_AOVS, GBufferRequest, GBufferSpace, PbgiError,
+    PointSource, PointsRequest, Progress, ShadeReport, ShadeSettings, check_writable, load_scene,
+    refuse_to_overwrite, shade_frame, shade_gbuffer, shade_points,
 };
+use std::path::Path;
 use std::process::ExitCode;
 use std::sync::atomic::AtomicBool;
 
@@ -35,7 +37,10 @@ fn shade(args: &ShadeArgs, cancel: &AtomicBool) -> Result<(), PbgiError> {
         None if args.points.surfels => {
             points(args, PointSource::Surfels, settings, &progress, cancel)
         }
-        None => picture(args, settings, &progress, cancel),
+        None => match &args.gbuffer.gbuffer {
+            Some(path) => gbuffer(args, path, settings, &progress, cancel),
+            None => picture(args, settings, &progress, cancel),
+        },
     }?;
     for warning in &report.warnings {
         progress.warn(warning);
@@ -67,7 +72,7 @@ fn picture(
     progress: &Progress,
     cancel: &AtomicBool,
 ) -> Result<ShadeReport, PbgiError> {
-    let aovs = args.output_options.parse_aovs()?;
+    let aovs = args.output_options.parse_aovs(&FRAME_AOVS)?;
     let scene = args.view.scene.as_deref().map(load_scene).transpose()?;
     for warning in scene.iter().flat_map(|scene| &scene.warnings) {
         progress.warn(warning);
@@ -85,7 +90,33 @@ fn picture(
         names: args.output_options.names(),
         settings,
     };
-    let frame = shade_frame(&request, progress, cancel)?;
+    write_frame(args, shade_frame(&request, progress, cancel)?)
+}
+
+fn gbuffer(
+    args: &ShadeArgs,
+    path: &Path,
+    settings: ShadeSettings,
+    progress: &Progress,
+    cancel: &AtomicBool,
+) -> Result<ShadeReport, PbgiError> {
+    let request = GBufferRequest {
+        octree: &args.octree,
+        gbuffer: path,
+        camera: args.view.camera(),
+        space: match args.gbuffer.gbuffer_space {
+            SpaceArg::World => GBufferSpace::World,
+            SpaceArg::Camera => GBufferSpace::Camera,
+        },
+        pass_through: args.gbuffer.pass_through,
+        aovs: args.output_options.parse_aovs(&GBUFFER_AOVS)?,
+        names: args.output_options.names(),
+        settings,
+    };
+    write_frame(args, shade_gbuffer(&request, progress, cancel)?)
+}
+
+fn write_frame(args: &ShadeArgs, frame: Frame) -> Result<ShadeReport, PbgiError> {
     frame.write_exr(&args.output)?;
     if let Some(path) = &args.output_options.preview {
         frame.write_preview(path, args.output_options.exposure.stops())?;
