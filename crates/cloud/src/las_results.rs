@@ -375,7 +375,7 @@ impl Head {
     }
 
     /// Header and records, for points of another format and size.
-    fn to_bytes(&mut self, format: u8, point_bytes: u16) -> Result<Vec<u8>, String> {
+    fn to_bytes(&self, format: u8, point_bytes: u16) -> Result<Vec<u8>, String> {
         let mut bytes = self.header.clone();
         for record in &self.records {
             let mut head = record.head;

@@ -31,6 +31,7 @@ mod output_path;
 mod points;
 mod progress;
 mod relight;
+mod scan;
 mod shade;
 mod share;
 mod splat;

@@ -9,20 +9,23 @@ use std::path::PathBuf;
 /// Gather light from an octree file, for a picture or for points
 ///
 /// A picture shows the scene given by --scene (the mesh the octree was baked from), or, without one,
-/// the surfels of the octree themselves. Results for points go to a PLY file.
+/// the surfels of the octree themselves; with --gbuffer, what another renderer saw is shaded. Results for points go to
+/// a table, or back into the scan they came from.
 ///
 /// Examples:
 ///   pbgi-shade street.pbgi --scene demo:street --env sky.exr -o street.exr --preview street.png
+///   pbgi-shade street.pbgi --gbuffer beauty.exr --pass-through --env sky.exr -o lit.exr
 ///   pbgi-shade room.pbgi --receivers points.ply -o shaded.ply --check 200
+///   pbgi-shade town.pbgi --receivers town.laz --env-color 1,1,1 -o town_lit.laz
 #[derive(Debug, Parser)]
 #[command(name = "pbgi-shade", version, verbatim_doc_comment)]
 pub struct ShadeArgs {
     /// Octree file, made by pbgi-bake
     pub octree: PathBuf,
-    /// Result: an EXR picture (overwritten), or a PLY file for points
+    /// Result: an EXR picture (overwritten); for points .ply .npy .csv, or .las .laz for a scan
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,
-    /// Replace a PLY file that exists
+    /// Replace a file of points that exists
     #[arg(long)]
     pub force: bool,
     /// What is seen or shaded
@@ -140,8 +143,8 @@ const PICTURE_FLAGS: [&str; 5] = ["scene", "gbuffer", "camera", "camera_position
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Points instead of a picture")]
 pub struct PointArgs {
-    /// Points with normals; the other columns of the file pass through
-    #[arg(long, value_name = "PLY", conflicts_with_all = PICTURE_FLAGS)]
+    /// Points: PLY with normals, whose other columns pass through, or a scan (.las .laz), whose normals are estimated
+    #[arg(long, value_name = "FILE", conflicts_with_all = PICTURE_FLAGS)]
     pub receivers: Option<PathBuf>,
     /// Every surfel of the octree
     #[arg(long, conflicts_with = "receivers", conflicts_with_all = PICTURE_FLAGS)]
