@@ -6,6 +6,7 @@
 
 mod aov;
 mod atomic;
+mod contact_sheet;
 mod environment;
 mod error;
 mod exr_read;
@@ -21,6 +22,7 @@ pub use self::image::{
 };
 pub use aov::{Aov, AovNames, AovPreset};
 pub use atomic::write_atomically;
+pub use contact_sheet::{Tile, write_contact_sheet};
 pub use environment::{read_environment, read_hdr};
 pub use error::ImageError;
 pub use exr_read::{read_exr, read_stored_exr};

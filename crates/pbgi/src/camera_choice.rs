@@ -34,6 +34,9 @@ pub enum CameraChoice {
         up: Option<Vec3>,
         /// Full vertical field of view in degrees; 45 if not given.
         fov_degrees: Option<f32>,
+        /// Turn of the position about the line through the target along the up direction, in degrees, counterclockwise
+        /// seen from above.
+        turned_degrees: f64,
     },
 }
 
@@ -75,7 +78,7 @@ impl CameraContext<'_> {
                 let fov = check_fov(*fov_degrees)?;
                 Ok(FileCamera::read(path)?.camera(self.origin, fov))
             }
-            CameraChoice::LookAt { position, target, up, fov_degrees } => {
+            CameraChoice::LookAt { position, target, up, fov_degrees, turned_degrees } => {
                 let fov = check_fov(*fov_degrees)?;
                 let up = up.unwrap_or(self.up);
                 if !(position.is_finite() && target.is_finite()) || position == target {
@@ -91,10 +94,21 @@ impl CameraContext<'_> {
                 }
                 let local = |p: DVec3| (p - self.origin).as_vec3();
                 let up = up.normalize();
-                Ok(Camera::look_at(local(*position), local(*target), up, fov.to_radians()))
+                let position = turn_about(*position, *target, up, *turned_degrees);
+                Ok(Camera::look_at(local(position), local(*target), up, fov.to_radians()))
             }
         }
     }
+}
+
+/// `position` turned about the line through `target` along the unit vector `up`: Rodrigues' formula.
+fn turn_about(position: DVec3, target: DVec3, up: Vec3, degrees: f64) -> DVec3 {
+    if degrees == 0.0 {
+        return position;
+    }
+    let (arm, up) = (position - target, up.as_dvec3());
+    let (sin, cos) = degrees.to_radians().sin_cos();
+    target + arm * cos + up.cross(arm) * sin + up * (up.dot(arm) * (1.0 - cos))
 }
 
 /// A field of view in degrees, that of no choice in place of none.
@@ -157,11 +171,22 @@ mod tests {
             target: DVec3::new(5e6, 0.0, 1.0),
             up: None,
             fov_degrees: None,
+            turned_degrees: 0.0,
         };
         let camera = context(None).find(&choice).unwrap();
         assert_eq!(Vec3::from(camera.transform.translation), Vec3::new(3.0, 0.0, 1.0));
         let above: Vec3 = camera.transform.matrix3.y_axis.into();
         assert!((above - Vec3::Z).length() < 1e-6);
+    }
+
+    #[test]
+    fn cameras_turn_about_their_target() {
+        let (eye, target) = (DVec3::new(3.0, 4.0, 7.0), DVec3::new(1.0, 4.0, 5.0));
+        let turned = |degrees| turn_about(eye, target, Vec3::Z, degrees);
+        assert!(turned(90.0).distance(DVec3::new(1.0, 6.0, 7.0)) < 1e-12);
+        assert!(turned(-180.0).distance(DVec3::new(-1.0, 4.0, 7.0)) < 1e-12);
+        assert!(turned(360.0).distance(eye) < 1e-12);
+        assert_eq!(turned(0.0), eye);
     }
 
     #[test]
@@ -174,7 +199,13 @@ mod tests {
             (DVec3::ZERO, None, Some(180.0)),
             (DVec3::ZERO, None, Some(f32::NAN)),
         ] {
-            let choice = CameraChoice::LookAt { position: place, target, up, fov_degrees };
+            let choice = CameraChoice::LookAt {
+                position: place,
+                target,
+                up,
+                fov_degrees,
+                turned_degrees: 0.0,
+            };
             assert_eq!(context(None).find(&choice).unwrap_err().exit_code(), 2);
         }
     }

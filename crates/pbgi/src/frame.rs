@@ -12,8 +12,8 @@ use crate::splat::hide_surfels;
 use crate::{PbgiError, Progress};
 use pbgi_format::Header;
 use pbgi_image::{
-    AttributeValue, Image, ImageWindow, StoredChannel, ToneMap, auto_exposure, write_png,
-    write_windowed_exr,
+    Aov, AovNames, AttributeValue, Image, ImageWindow, StoredChannel, ToneMap, auto_exposure,
+    write_png, write_windowed_exr,
 };
 use pbgi_math::{DVec3, Vec3};
 use pbgi_scene::{CameraView, HideOptions, Micropolygon, PixelWindow, Scene, hide};
@@ -35,6 +35,8 @@ pub struct Frame {
     pub report: ShadeReport,
     /// Where the pixels lie in what the camera saw.
     pub(crate) window: ImageWindow,
+    /// The quantities, each with the names of its channels.
+    pub(crate) layers: Vec<(Aov, Vec<String>)>,
     /// Channels of another file that go along as they are.
     pub(crate) passed: Vec<StoredChannel>,
     /// What the preview shows.
@@ -339,8 +341,14 @@ impl<'a> FrameJob<'a> {
         let image = image.into_image(&self.request.names);
         let window = ImageWindow::whole(image.width, image.height);
         let passed = Vec::new();
-        Ok(Frame { image, attributes, report, window, passed, preview, covered, is_lit })
+        let layers = layers_of(&self.request.aovs, &self.request.names);
+        Ok(Frame { image, attributes, report, window, layers, passed, preview, covered, is_lit })
     }
+}
+
+/// The quantities with the names of their channels.
+pub(crate) fn layers_of(aovs: &[Aov], names: &AovNames) -> Vec<(Aov, Vec<String>)> {
+    aovs.iter().map(|aov| (*aov, names.channels(*aov))).collect()
 }
 
 /// Samples by what they show.
@@ -388,7 +396,6 @@ mod tests {
     use crate::frame_request::FRAME_AOVS;
     use crate::shade::ShadeSettings;
     use crate::{BakeRequest, EnvironmentSpec, LightSource, Sampling, bake, load_scene};
-    use pbgi_image::AovNames;
 
     fn request<'a>(octree: &'a Path, scene: Option<&'a Scene>) -> FrameRequest<'a> {
         let source = LightSource::Uniform([1.0, 2.0, 3.0]);

@@ -1,7 +1,7 @@
 //! Shading of a G-buffer: the surfaces another renderer saw, lit by an octree.
 
 use crate::camera_choice::{CameraChoice, CameraContext};
-use crate::frame::Frame;
+use crate::frame::{Frame, layers_of};
 use crate::gbuffer_surfaces::{GBuffer, GBufferSpace};
 use crate::memory_split::MemorySplit;
 use crate::output::{channel_count, settings_attributes};
@@ -106,7 +106,9 @@ pub fn shade_gbuffer(
         true => image.beauty,
         false => image.occlusion.iter().map(|open| [*open; 3]).collect(),
     };
-    Ok(Frame { image: image.image, attributes, report, window, passed, preview, covered, is_lit })
+    let layers = layers_of(&request.aovs, &request.names);
+    let image = image.image;
+    Ok(Frame { image, attributes, report, window, layers, passed, preview, covered, is_lit })
 }
 
 /// Place of the eye in the world, where a camera was chosen.

@@ -15,6 +15,7 @@ mod camera_choice;
 mod camera_file;
 mod check;
 pub mod cli;
+mod contact;
 mod error;
 mod export;
 mod frame;
