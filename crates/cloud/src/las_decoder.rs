@@ -166,7 +166,7 @@ impl LayerGuard {
 }
 
 /// Runs a decoder step; its errors, and its panics on damaged data, become errors of ours.
-fn guard<T, E: std::fmt::Display>(
+pub(crate) fn guard<T, E: std::fmt::Display>(
     path: &Path,
     place: impl Fn() -> String,
     step: impl FnOnce() -> Result<T, E>,
@@ -323,6 +323,6 @@ fn hide_extended_records(header: &mut [u8]) {
     header[227..end].fill(0);
 }
 
-fn array_at<const N: usize>(bytes: &[u8], at: usize) -> [u8; N] {
+pub(crate) fn array_at<const N: usize>(bytes: &[u8], at: usize) -> [u8; N] {
     std::array::from_fn(|i| bytes[at + i])
 }

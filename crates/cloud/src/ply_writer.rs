@@ -1,5 +1,6 @@
 //! Writing tables of named columns as PLY.
 
+use crate::row_writer::check_names;
 use crate::{AtomicFile, CloudError};
 use std::io::{Seek, SeekFrom, Write};
 use std::path::Path;
@@ -45,15 +46,7 @@ impl PlyWriter {
         double_count: usize,
     ) -> Result<Self, CloudError> {
         let columns: Vec<String> = columns.iter().map(|c| c.as_ref().to_owned()).collect();
-        for (index, name) in columns.iter().enumerate() {
-            let usable = !name.is_empty() && name.bytes().all(|b| b.is_ascii_graphic());
-            if !usable || columns[..index].contains(name) {
-                return Err(CloudError::malformed(
-                    path,
-                    format!("column name `{name}` is empty, has blanks, or comes twice"),
-                ));
-            }
-        }
+        check_names(path, &columns)?;
         let mut writer =
             Self { file: AtomicFile::create(path)?, columns, double_count, value_count: 0 };
         writer.write_header()?;

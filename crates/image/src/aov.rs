@@ -30,11 +30,19 @@ pub enum Aov {
     Depth,
     /// Diffuse albedo: 3 channels.
     Albedo,
+    /// GGX roughness, 0..=1: 1 channel.
+    Roughness,
+    /// Share of the surface that is metal, 0..=1: 1 channel.
+    Metalness,
+    /// Weight of the specular lobe, 0..=1: 1 channel.
+    Specular,
+    /// Unit vector from the surface to the eye, world space: 3 channels.
+    View,
 }
 
 impl Aov {
     /// All quantities.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 16] = [
         Self::Beauty,
         Self::DiffuseIndirect,
         Self::DiffuseDirect,
@@ -47,15 +55,27 @@ impl Aov {
         Self::Normal,
         Self::Depth,
         Self::Albedo,
+        Self::Roughness,
+        Self::Metalness,
+        Self::Specular,
+        Self::View,
     ];
 
     /// Whether the components are X, Y, Z rather than R, G, B.
     fn is_vector(self) -> bool {
-        matches!(self, Self::BentNormal | Self::Position | Self::Normal)
+        matches!(self, Self::BentNormal | Self::Position | Self::Normal | Self::View)
     }
 
     fn is_scalar(self) -> bool {
-        matches!(self, Self::Occlusion | Self::SkyVisibility | Self::Depth)
+        matches!(
+            self,
+            Self::Occlusion
+                | Self::SkyVisibility
+                | Self::Depth
+                | Self::Roughness
+                | Self::Metalness
+                | Self::Specular
+        )
     }
 }
 
@@ -118,6 +138,10 @@ impl AovNames {
                 "N",
                 "Z",
                 "albedo",
+                "specular_roughness",
+                "metalness",
+                "specular",
+                "V",
             ],
             AovPreset::Blender => [
                 "Combined",
@@ -132,6 +156,10 @@ impl AovNames {
                 "Normal",
                 "Depth",
                 "Diffuse Color",
+                "Roughness",
+                "Metallic",
+                "Specular",
+                "View",
             ],
             AovPreset::Renderman => [
                 "Ci",
@@ -146,6 +174,10 @@ impl AovNames {
                 "Nn",
                 "z",
                 "albedo",
+                "roughness",
+                "metallic",
+                "specular",
+                "Vn",
             ],
         };
         Self { layers: layers.map(str::to_owned) }
@@ -181,21 +213,49 @@ impl AovNames {
     /// The channels of `aov` in an image of any origin: these names first, then those of every
     /// preset and common synonyms; components `X/Y/Z`, `R/G/B` or `r/g/b`; with or without a view
     /// layer before them (`ViewLayer.Normal.X`). Beauty is found without its alpha.
+    ///
+    /// What renderers write in world space beside a version in camera space (`__Nworld` beside `Nn`) is found first.
     #[must_use]
     pub fn find<'a>(&self, image: &'a Image, aov: Aov) -> Option<Vec<&'a [f32]>> {
+        let names: Vec<&str> = image.channels.iter().map(|c| c.name.as_str()).collect();
+        let indices = self.find_among(&names, aov)?;
+        Some(indices.into_iter().map(|index| image.channels[index].data.as_slice()).collect())
+    }
+
+    /// As [`AovNames::find`], among the `names` of channels: their indices.
+    #[must_use]
+    pub fn find_among(&self, names: &[&str], aov: Aov) -> Option<Vec<usize>> {
         let presets = AovPreset::ALL.map(Self::preset);
-        let own = std::iter::once(self.layer(aov));
+        let worlds = world_layers(aov).iter().copied();
+        let own = worlds.chain(std::iter::once(self.layer(aov)));
         let known = presets.iter().map(|names| names.layer(aov));
         own.chain(known).chain(synonyms(aov).iter().copied()).find_map(|layer| {
-            let components: &[&[&str]] = if aov.is_scalar() {
-                &[&[""], &["Z"], &["V"], &["Y"], &["R"], &["r"]]
-            } else {
-                &[&["X", "Y", "Z"], &["x", "y", "z"], &["R", "G", "B"], &["r", "g", "b"]]
+            let components: &[&[&str]] = match aov {
+                // A color of that name is the light of the lobe, not its weight.
+                Aov::Specular => &[&[""], &["X"], &["V"], &["Y"]],
+                _ if aov.is_scalar() => &[&[""], &["Z"], &["V"], &["Y"], &["X"], &["R"], &["r"]],
+                _ => &[&["X", "Y", "Z"], &["x", "y", "z"], &["R", "G", "B"], &["r", "g", "b"]],
             };
             components.iter().find_map(|set| {
-                set.iter().map(|component| find_channel(image, &join(layer, component))).collect()
+                set.iter().map(|component| find_name(names, &join(layer, component))).collect()
             })
         })
+    }
+
+    /// The channel among `names` that says how much of a pixel is covered.
+    #[must_use]
+    pub fn find_alpha(names: &[&str]) -> Option<usize> {
+        let known = ["A", "a", "alpha", "Combined.A", "RGBA.A", "rgba.A", "beauty.A", "Ci.A"];
+        known.iter().find_map(|name| find_name(names, name))
+    }
+}
+
+/// Names that say world space, of quantities which the same file may also have in camera space.
+fn world_layers(aov: Aov) -> &'static [&'static str] {
+    match aov {
+        Aov::Position => &["__Pworld"],
+        Aov::Normal => &["__Nworld", "Nworld"],
+        _ => &[],
     }
 }
 
@@ -206,6 +266,8 @@ fn synonyms(aov: Aov) -> &'static [&'static str] {
         Aov::Normal => &["normal", "N_world", "normals"],
         Aov::Depth => &["depth"],
         Aov::Albedo => &["diffuse_albedo", "DiffCol"],
+        Aov::Metalness => &["Metalness"],
+        Aov::View => &["view", "viewdir"],
         _ => &[],
     }
 }
@@ -218,18 +280,17 @@ fn join(layer: &str, component: &str) -> String {
     }
 }
 
-/// The channel `name`, or the first whose name is `name` after a view layer and a dot.
-fn find_channel<'a>(image: &'a Image, name: &str) -> Option<&'a [f32]> {
-    image.channel(name).or_else(|| {
+/// Index of the channel `name`, or of the first whose name is `name` after a view layer and a dot.
+fn find_name(names: &[&str], name: &str) -> Option<usize> {
+    names.iter().position(|full| *full == name).or_else(|| {
         // A bare R would otherwise be found in any layer.
         let layered = name.contains('.');
-        let matches = |full: &str| {
+        let matches = |full: &&str| {
             full.strip_suffix(name)
                 .and_then(|head| head.strip_suffix('.'))
                 .is_some_and(|view| !view.contains('.'))
         };
-        let found = image.channels.iter().find(|c| layered && matches(&c.name));
-        found.map(|c| c.data.as_slice())
+        names.iter().position(|full| layered && matches(full))
     })
 }
 
@@ -302,5 +363,24 @@ mod tests {
         assert_eq!(values(Aov::Depth), [6.0]);
         assert_eq!(names.find(&image, Aov::Beauty), None);
         assert_eq!(names.find(&image, Aov::Albedo), None);
+    }
+
+    #[test]
+    fn surface_properties_are_told_from_light() {
+        let find = |names: &[&str], aov| AovNames::default().find_among(names, aov);
+        assert_eq!(find(&["specular.R", "specular.G", "specular.B"], Aov::Specular), None);
+        assert_eq!(find(&["x", "specular"], Aov::Specular), Some(vec![1]));
+        assert_eq!(find(&["ViewLayer.Roughness.X"], Aov::Roughness), Some(vec![0]));
+        assert_eq!(find(&["specular_roughness"], Aov::Roughness), Some(vec![0]));
+        assert_eq!(find(&["ViewLayer.Metallic.V"], Aov::Metalness), Some(vec![0]));
+        assert_eq!(AovNames::find_alpha(&["R", "ViewLayer.Combined.A"]), Some(1));
+        assert_eq!(AovNames::find_alpha(&["albedo.A"]), None);
+    }
+
+    /// RenderMan writes both; only one is in world space.
+    #[test]
+    fn world_space_is_preferred() {
+        let names = ["Nn.X", "Nn.Y", "Nn.Z", "__Nworld.X", "__Nworld.Y", "__Nworld.Z"];
+        assert_eq!(AovNames::default().find_among(&names, Aov::Normal), Some(vec![3, 4, 5]));
     }
 }

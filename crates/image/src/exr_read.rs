@@ -1,7 +1,9 @@
 //! Reading of EXR files.
 
 use crate::error::catch_decoder_panic;
-use crate::{AttributeValue, Channel, Image, ImageError, Metadata};
+use crate::{
+    AttributeValue, Image, ImageError, ImageWindow, Metadata, Samples, StoredChannel, StoredImage,
+};
 use exr::block::reader::Reader;
 use exr::compression::Compression;
 use exr::image::{AnyChannels, FlatSamples, Layer};
@@ -20,8 +22,7 @@ const EXPANSION_MAX: u64 = 1032;
 ///
 /// A file of several parts becomes one image: each part of the first part's size and place
 /// contributes its channels, with the part's name before theirs (`beauty.R`); the rest is listed in
-/// [`Metadata::parts_left_out`]. Memory: the decoded samples, once as stored and once as floats for
-/// a channel at a time.
+/// [`Metadata::parts_left_out`]. Memory: the decoded samples, once as stored and once as floats.
 ///
 /// # Errors
 ///
@@ -29,6 +30,15 @@ const EXPANSION_MAX: u64 = 1032;
 /// [`ImageError::Unsupported`] for deep or subsampled data and DWA compression, with the command
 /// that converts the file.
 pub fn read_exr(path: &Path) -> Result<(Image, Metadata), ImageError> {
+    read_stored_exr(path).map(|(stored, metadata)| (stored.into(), metadata))
+}
+
+/// As [`read_exr`], with all samples as they are stored.
+///
+/// # Errors
+///
+/// Those of [`read_exr`].
+pub fn read_stored_exr(path: &Path) -> Result<(StoredImage, Metadata), ImageError> {
     let io = |action| move |e| ImageError::io(path, action, e);
     let file = File::open(path).map_err(io("open"))?;
     let file_bytes = file.metadata().map_err(io("read the size of"))?.len();
@@ -94,7 +104,10 @@ fn check_headers(path: &Path, headers: &[Header], file_bytes: u64) -> Result<(),
     Ok(())
 }
 
-fn decode<R: Read + Seek>(path: &Path, reader: Reader<R>) -> Result<(Image, Metadata), ImageError> {
+fn decode<R: Read + Seek>(
+    path: &Path,
+    reader: Reader<R>,
+) -> Result<(StoredImage, Metadata), ImageError> {
     // On this thread only: a panic of the decoder on a pool thread would end the process.
     let decoded = exr::prelude::read()
         .no_deep_data()
@@ -112,15 +125,18 @@ fn decode<R: Read + Seek>(path: &Path, reader: Reader<R>) -> Result<(Image, Meta
     };
     let (size, position) = (first.size, first.attributes.layer_position);
     let mut metadata = Metadata {
-        data_origin: [position.0, position.1],
-        display_origin: [shared.display_window.position.0, shared.display_window.position.1],
-        display_size: [shared.display_window.size.0, shared.display_window.size.1],
+        window: ImageWindow {
+            data_origin: [position.0, position.1],
+            display_origin: [shared.display_window.position.0, shared.display_window.position.1],
+            display_size: [shared.display_window.size.0, shared.display_window.size.1],
+        },
         attributes: collect_attributes(first),
         parts_left_out: Vec::new(),
     };
     metadata.attributes.extend(shared.other.iter().filter_map(convert));
     metadata.attributes.sort_by(|a, b| a.0.cmp(&b.0));
-    let mut image = Image::new(size.width(), size.height());
+    let (width, height) = (size.width(), size.height());
+    let mut image = StoredImage { width, height, channels: Vec::new() };
     let several = parts.len() > 1;
     for part in parts {
         let name = part.attributes.layer_name.as_ref().map(to_string).unwrap_or_default();
@@ -134,22 +150,22 @@ fn decode<R: Read + Seek>(path: &Path, reader: Reader<R>) -> Result<(Image, Meta
 }
 
 /// Appends the channels of a part under `prefix.name`; the first of two equal names wins.
-fn append_channels(image: &mut Image, part: Layer<AnyChannels<FlatSamples>>, prefix: &str) {
+fn append_channels(image: &mut StoredImage, part: Layer<AnyChannels<FlatSamples>>, prefix: &str) {
     for channel in part.channel_data.list {
         let mut name = to_string(&channel.name);
         let prefixed = name.strip_prefix(prefix).is_some_and(|rest| rest.starts_with('.'));
         if !prefix.is_empty() && !prefixed {
             name = format!("{prefix}.{name}");
         }
-        if image.channel(&name).is_some() {
+        if image.channels.iter().any(|c| c.name == name) {
             continue;
         }
-        let data = match channel.sample_data {
-            FlatSamples::F16(samples) => samples.iter().map(|s| s.to_f32()).collect(),
-            FlatSamples::F32(samples) => samples,
-            FlatSamples::U32(samples) => samples.iter().map(|&s| s as f32).collect(),
+        let samples = match channel.sample_data {
+            FlatSamples::F16(samples) => Samples::Half(samples),
+            FlatSamples::F32(samples) => Samples::Float(samples),
+            FlatSamples::U32(samples) => Samples::Uint(samples),
         };
-        image.channels.push(Channel { name, data });
+        image.channels.push(StoredChannel { name, samples });
     }
 }
 

@@ -1,19 +1,24 @@
 //! Writing of EXR files.
 
-use crate::{AttributeValue, Channel, Image, ImageError, RgbImage, write_atomically};
+use crate::{
+    AttributeValue, Image, ImageError, ImageWindow, RgbImage, Samples, StoredChannel,
+    write_atomically,
+};
 use exr::block::{UncompressedBlock, writer::ChunksWriter};
 use exr::compression::Compression;
+use exr::math::Vec2;
 use exr::meta::BlockDescription;
 use exr::meta::attribute::{
-    AttributeValue as ExrValue, ChannelDescription, LineOrder, SampleType, Text,
+    AttributeValue as ExrValue, ChannelDescription, IntegerBounds, LineOrder, SampleType, Text,
 };
 use exr::meta::header::Header;
 use std::collections::BTreeMap;
 use std::io::{self, Cursor, Seek, Write};
+use std::ops::Range;
 use std::path::Path;
 
 /// Header attributes that describe the layout of the file and so cannot be set by a caller.
-const LAYOUT_ATTRIBUTES: [&str; 14] = [
+pub const LAYOUT_ATTRIBUTES: [&str; 14] = [
     "channels",
     "chunkCount",
     "compression",
@@ -30,7 +35,7 @@ const LAYOUT_ATTRIBUTES: [&str; 14] = [
     "version",
 ];
 
-/// Writes `image` as one part of ZIP-compressed scan lines, each channel as 32-bit floats.
+/// Writes `image` as one part of ZIP-compressed scan lines, each channel as 32-bit floats; it is the whole frame.
 ///
 /// Channels go into a single part with names such as `diffuse_indirect.R`, which every reader
 /// understands as layers. Attributes take their standard field where the name has one
@@ -48,8 +53,26 @@ pub fn write_exr(
     image: &Image,
     attributes: &[(String, AttributeValue)],
 ) -> Result<(), ImageError> {
-    let channels = check_channels(path, image)?;
-    let header = describe(path, image, &channels, attributes)?;
+    let window = ImageWindow::whole(image.width, image.height);
+    write_windowed_exr(path, image, &[], &window, attributes)
+}
+
+/// As [`write_exr`], with the pixels at their place in a frame of any size, and with the `stored` channels of another
+/// file, of the same number of pixels, bit for bit.
+///
+/// # Errors
+///
+/// Those of [`write_exr`].
+pub fn write_windowed_exr(
+    path: &Path,
+    image: &Image,
+    stored: &[StoredChannel],
+    window: &ImageWindow,
+    attributes: &[(String, AttributeValue)],
+) -> Result<(), ImageError> {
+    let channels = check_channels(path, image, stored)?;
+    let mut header = describe(path, image, &channels, attributes)?;
+    set_window(&mut header, window);
     let sorted =
         serialize_sorted(&header).map_err(|message| ImageError::unwritable(path, message))?;
     write_atomically(path, |file| {
@@ -90,21 +113,73 @@ pub fn write_environment_exr(
     write_exr(path, &image, attributes)
 }
 
+/// A channel to be written.
+struct Written<'a> {
+    name: &'a str,
+    samples: WrittenSamples<'a>,
+}
+
+enum WrittenSamples<'a> {
+    Float(&'a [f32]),
+    Stored(&'a Samples),
+}
+
+impl WrittenSamples<'_> {
+    fn len(&self) -> usize {
+        match self {
+            Self::Float(samples) => samples.len(),
+            Self::Stored(samples) => samples.len(),
+        }
+    }
+
+    fn kind(&self) -> SampleType {
+        match self {
+            Self::Float(_) | Self::Stored(Samples::Float(_)) => SampleType::F32,
+            Self::Stored(Samples::Half(_)) => SampleType::F16,
+            Self::Stored(Samples::Uint(_)) => SampleType::U32,
+        }
+    }
+
+    /// Appends samples in the byte order of this machine.
+    fn push_bytes(&self, range: Range<usize>, bytes: &mut Vec<u8>) {
+        fn push<T, const N: usize>(samples: &[T], bytes: &mut Vec<u8>, to: fn(&T) -> [u8; N]) {
+            bytes.extend(samples.iter().flat_map(to));
+        }
+        match self {
+            Self::Float(s) => push(&s[range], bytes, |s| s.to_ne_bytes()),
+            Self::Stored(Samples::Float(s)) => push(&s[range], bytes, |s| s.to_ne_bytes()),
+            Self::Stored(Samples::Half(s)) => push(&s[range], bytes, |s| s.to_ne_bytes()),
+            Self::Stored(Samples::Uint(s)) => push(&s[range], bytes, |s| s.to_ne_bytes()),
+        }
+    }
+}
+
 /// The channels in the order of the file, which is that of their names.
-fn check_channels<'a>(path: &Path, image: &'a Image) -> Result<Vec<&'a Channel>, ImageError> {
+fn check_channels<'a>(
+    path: &Path,
+    image: &'a Image,
+    stored: &'a [StoredChannel],
+) -> Result<Vec<Written<'a>>, ImageError> {
     let (width, height) = (image.width, image.height);
-    if width == 0 || height == 0 || image.channels.is_empty() {
-        let count = image.channels.len();
+    let own = image
+        .channels
+        .iter()
+        .map(|c| Written { name: &c.name, samples: WrittenSamples::Float(&c.data) });
+    let stored = stored
+        .iter()
+        .map(|c| Written { name: &c.name, samples: WrittenSamples::Stored(&c.samples) });
+    let mut channels: Vec<Written<'a>> = own.chain(stored).collect();
+    if width == 0 || height == 0 || channels.is_empty() {
+        let count = channels.len();
         let message = format!("it is empty: {width} x {height} pixels, {count} channels");
         return Err(ImageError::unwritable(path, message));
     }
-    let mut channels: Vec<&Channel> = image.channels.iter().collect();
     channels.sort_by(|a, b| a.name.as_bytes().cmp(b.name.as_bytes()));
     for channel in &channels {
-        check_name(path, "channel", &channel.name)?;
-        let (found, expected) = (channel.data.len(), width * height);
+        check_name(path, "channel", channel.name)?;
+        let (found, expected) = (channel.samples.len(), width * height);
         if found != expected {
-            let name = &channel.name;
+            let name = channel.name;
             let message = format!("channel {name} has {found} samples, expected {expected}");
             return Err(ImageError::unwritable(path, message));
         }
@@ -116,6 +191,15 @@ fn check_channels<'a>(path: &Path, image: &'a Image) -> Result<Vec<&'a Channel>,
         }
         None => Ok(channels),
     }
+}
+
+/// Places the pixels in their frame.
+fn set_window(header: &mut Header, window: &ImageWindow) {
+    let [x, y] = window.data_origin;
+    header.own_attributes.layer_position = Vec2(x, y);
+    let [x, y] = window.display_origin;
+    let [columns, rows] = window.display_size;
+    header.shared_attributes.display_window = IntegerBounds::new((x, y), (columns, rows));
 }
 
 /// Names are at most 255 bytes in the format.
@@ -134,12 +218,12 @@ fn text(value: &str) -> Text {
 fn describe(
     path: &Path,
     image: &Image,
-    channels: &[&Channel],
+    channels: &[Written<'_>],
     attributes: &[(String, AttributeValue)],
 ) -> Result<Header, ImageError> {
     let list = channels
         .iter()
-        .map(|c| ChannelDescription::new(text(&c.name), SampleType::F32, false))
+        .map(|c| ChannelDescription::new(text(c.name), c.samples.kind(), false))
         .collect();
     let mut header = Header::new(text(""), (image.width, image.height), list).with_encoding(
         Compression::ZIP16,
@@ -227,12 +311,11 @@ fn split_attributes(bytes: &[u8]) -> Option<BTreeMap<&[u8], &[u8]>> {
 }
 
 /// Samples of `rows` rows from `y` in the order of a block: by row, then channel, then column.
-fn gather_rows(channels: &[&Channel], width: usize, y: usize, rows: usize) -> Vec<u8> {
+fn gather_rows(channels: &[Written<'_>], width: usize, y: usize, rows: usize) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(rows * width * channels.len() * 4);
     for row in y..y + rows {
         for channel in channels {
-            let samples = &channel.data[row * width..(row + 1) * width];
-            bytes.extend(samples.iter().flat_map(|sample| sample.to_ne_bytes()));
+            channel.samples.push_bytes(row * width..(row + 1) * width, &mut bytes);
         }
     }
     bytes
@@ -276,7 +359,7 @@ mod tests {
         for (name, value) in &attributes {
             assert_eq!(metadata.attribute(name), Some(value), "{name}");
         }
-        assert_eq!(metadata.display_size, [67, 41]);
+        assert_eq!(metadata.window, ImageWindow::whole(67, 41));
     }
 
     /// A camera at (0, 0, 5) that looks along −Z only translates: EXR keeps the translation in the
@@ -297,6 +380,33 @@ mod tests {
             .collect();
         assert_eq!(floats[12..], [0.0, 0.0, -5.0, 1.0]);
         assert_eq!([floats[3], floats[7], floats[11]], [0.0; 3]);
+    }
+
+    /// Windows and samples of every type survive, odd bits of floats included.
+    #[test]
+    fn stored_channels_pass_through_bit_for_bit() {
+        let directory = tempdir().unwrap();
+        let path = directory.path().join("a.exr");
+        let ids: Vec<f32> =
+            (0..12u32).map(|i| f32::from_bits(0x7f80_0001 ^ (i * 0x1357))).collect();
+        let stored = [
+            ("crypto00.r", Samples::Float(ids.clone())),
+            ("id", Samples::Uint((0..12).map(|i| u32::MAX - i).collect())),
+            ("Z", Samples::Half((0..12).map(|i| half::f16::from_f32(i as f32 * 0.3)).collect())),
+        ]
+        .map(|(name, samples)| StoredChannel { name: name.to_owned(), samples });
+        let window =
+            ImageWindow { data_origin: [-3, 7], display_origin: [1, -2], display_size: [640, 360] };
+        write_windowed_exr(&path, &gradient(4, 3, &["AO"]), &stored, &window, &[]).unwrap();
+        let (read, metadata) = crate::read_stored_exr(&path).unwrap();
+        assert_eq!(metadata.window, window);
+        assert_eq!((read.width, read.height, read.channels.len()), (4, 3, 4));
+        for channel in &stored[1..] {
+            assert!(read.channels.contains(channel), "{}", channel.name);
+        }
+        let found = read.channels.into_iter().find(|c| c.name == "crypto00.r").unwrap();
+        let bits = |floats: Vec<f32>| -> Vec<u32> { floats.iter().map(|f| f.to_bits()).collect() };
+        assert_eq!(bits(found.samples.into_floats()), bits(ids));
     }
 
     #[test]

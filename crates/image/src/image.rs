@@ -1,5 +1,6 @@
 //! Images in memory.
 
+use half::f16;
 use pbgi_math::Mat4;
 
 /// One named channel of an [`Image`].
@@ -65,6 +66,92 @@ impl Image {
     }
 }
 
+/// Samples as an EXR file stores them.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Samples {
+    /// `half`.
+    Half(Vec<f16>),
+    /// `float`; bits of any kind, as Cryptomatte keeps them, stay as they are.
+    Float(Vec<f32>),
+    /// `uint`.
+    Uint(Vec<u32>),
+}
+
+impl Samples {
+    /// Number of samples.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        match self {
+            Self::Half(samples) => samples.len(),
+            Self::Float(samples) => samples.len(),
+            Self::Uint(samples) => samples.len(),
+        }
+    }
+
+    /// Whether there are none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// As floats; `uint` samples above 2²⁴ are rounded.
+    #[must_use]
+    pub fn into_floats(self) -> Vec<f32> {
+        match self {
+            Self::Half(samples) => samples.iter().map(|s| s.to_f32()).collect(),
+            Self::Float(samples) => samples,
+            Self::Uint(samples) => samples.iter().map(|&s| s as f32).collect(),
+        }
+    }
+}
+
+/// One named channel as an EXR file stores it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StoredChannel {
+    /// Name with its layer.
+    pub name: String,
+    /// Row-major samples, top row first.
+    pub samples: Samples,
+}
+
+/// Channels of one size as an EXR file stores them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct StoredImage {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// The channels; names are unique.
+    pub channels: Vec<StoredChannel>,
+}
+
+impl From<StoredImage> for Image {
+    fn from(stored: StoredImage) -> Self {
+        let float = |c: StoredChannel| Channel { name: c.name, data: c.samples.into_floats() };
+        let channels = stored.channels.into_iter().map(float).collect();
+        Self { width: stored.width, height: stored.height, channels }
+    }
+}
+
+/// Where the pixels of an image lie in the frame the camera saw.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ImageWindow {
+    /// Top left pixel of the data window, whose samples the image holds.
+    pub data_origin: [i32; 2],
+    /// Top left pixel of the display window: the frame as the camera saw it.
+    pub display_origin: [i32; 2],
+    /// Columns and rows of the display window.
+    pub display_size: [usize; 2],
+}
+
+impl ImageWindow {
+    /// The window of an image that is the whole frame.
+    #[must_use]
+    pub fn whole(width: usize, height: usize) -> Self {
+        Self { display_size: [width, height], ..Self::default() }
+    }
+}
+
 /// A linear RGB image.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RgbImage {
@@ -93,12 +180,8 @@ pub enum AttributeValue {
 /// What an EXR file says beside its samples.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Metadata {
-    /// Top left pixel of the data window, whose samples the [`Image`] holds.
-    pub data_origin: [i32; 2],
-    /// Top left pixel of the display window: the frame as the camera saw it.
-    pub display_origin: [i32; 2],
-    /// Columns and rows of the display window.
-    pub display_size: [usize; 2],
+    /// Where the samples lie.
+    pub window: ImageWindow,
     /// Attributes of the types of [`AttributeValue`], sorted by name; others are left out.
     pub attributes: Vec<(String, AttributeValue)>,
     /// Names of parts whose size or place differs from the first part's; they were not read into

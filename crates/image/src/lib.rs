@@ -6,6 +6,7 @@
 
 mod aov;
 mod atomic;
+mod contact_sheet;
 mod environment;
 mod error;
 mod exr_read;
@@ -15,13 +16,17 @@ mod metrics;
 mod png;
 mod tone;
 
-pub use self::image::{AttributeValue, Channel, Image, Metadata, RgbImage};
+pub use self::image::{
+    AttributeValue, Channel, Image, ImageWindow, Metadata, RgbImage, Samples, StoredChannel,
+    StoredImage,
+};
 pub use aov::{Aov, AovNames, AovPreset};
 pub use atomic::write_atomically;
+pub use contact_sheet::{Tile, write_contact_sheet};
 pub use environment::{read_environment, read_hdr};
 pub use error::ImageError;
-pub use exr_read::read_exr;
-pub use exr_write::{write_environment_exr, write_exr};
+pub use exr_read::{read_exr, read_stored_exr};
+pub use exr_write::{LAYOUT_ATTRIBUTES, write_environment_exr, write_exr, write_windowed_exr};
 pub use metrics::{ErrorMetrics, MetricsError, compare};
 pub use png::write_png;
 pub use tone::{ToneMap, auto_exposure};

@@ -1,8 +1,10 @@
 //! Which camera a frame is seen through.
 
 use crate::PbgiError;
+use crate::camera_file::FileCamera;
 use pbgi_math::{Aabb, DVec3, Vec3};
 use pbgi_scene::{Camera, Scene};
+use std::path::PathBuf;
 
 /// Vertical field of view where none is given, in degrees.
 const FOV_DEGREES: f32 = 45.0;
@@ -15,6 +17,13 @@ pub enum CameraChoice {
     Default,
     /// A camera of the scene by its name, or else by its number from 0.
     Named(String),
+    /// The camera of a JSON file, or of the attributes of an EXR image.
+    File {
+        /// The file.
+        path: PathBuf,
+        /// Full vertical field of view in degrees where the file has none; 45 if not given.
+        fov_degrees: Option<f32>,
+    },
     /// A camera given by numbers.
     LookAt {
         /// Place of the eye in the world.
@@ -25,6 +34,9 @@ pub enum CameraChoice {
         up: Option<Vec3>,
         /// Full vertical field of view in degrees; 45 if not given.
         fov_degrees: Option<f32>,
+        /// Turn of the position about the line through the target along the up direction, in degrees, counterclockwise
+        /// seen from above.
+        turned_degrees: f64,
     },
 }
 
@@ -62,13 +74,12 @@ impl CameraContext<'_> {
                 let found = by_name.or_else(by_number).cloned();
                 found.ok_or_else(|| no_such_camera(name, cameras))
             }
-            CameraChoice::LookAt { position, target, up, fov_degrees } => {
-                let fov = fov_degrees.unwrap_or(FOV_DEGREES);
-                if !(fov > 0.0 && fov < 179.0) {
-                    return Err(PbgiError::usage(format!(
-                        "the field of view is {fov} degrees, expected more than 0 and less than 179"
-                    )));
-                }
+            CameraChoice::File { path, fov_degrees } => {
+                let fov = check_fov(*fov_degrees)?;
+                Ok(FileCamera::read(path)?.camera(self.origin, fov))
+            }
+            CameraChoice::LookAt { position, target, up, fov_degrees, turned_degrees } => {
+                let fov = check_fov(*fov_degrees)?;
                 let up = up.unwrap_or(self.up);
                 if !(position.is_finite() && target.is_finite()) || position == target {
                     return Err(PbgiError::usage(format!(
@@ -83,17 +94,41 @@ impl CameraContext<'_> {
                 }
                 let local = |p: DVec3| (p - self.origin).as_vec3();
                 let up = up.normalize();
-                Ok(Camera::look_at(local(*position), local(*target), up, fov.to_radians()))
+                let position = turn_about(*position, *target, up, *turned_degrees);
+                Ok(Camera::look_at(local(position), local(*target), up, fov.to_radians()))
             }
         }
     }
+}
+
+/// `position` turned about the line through `target` along the unit vector `up`: Rodrigues' formula.
+fn turn_about(position: DVec3, target: DVec3, up: Vec3, degrees: f64) -> DVec3 {
+    if degrees == 0.0 {
+        return position;
+    }
+    let (arm, up) = (position - target, up.as_dvec3());
+    let (sin, cos) = degrees.to_radians().sin_cos();
+    target + arm * cos + up.cross(arm) * sin + up * (up.dot(arm) * (1.0 - cos))
+}
+
+/// A field of view in degrees, that of no choice in place of none.
+fn check_fov(fov_degrees: Option<f32>) -> Result<f32, PbgiError> {
+    let fov = fov_degrees.unwrap_or(FOV_DEGREES);
+    if fov > 0.0 && fov < 179.0 {
+        return Ok(fov);
+    }
+    Err(PbgiError::usage(format!(
+        "the field of view is {fov} degrees, expected more than 0 and less than 179"
+    )))
 }
 
 fn no_such_camera(name: &str, cameras: &[Camera]) -> PbgiError {
     let list: Vec<String> =
         cameras.iter().enumerate().map(|(i, c)| format!("{i} \"{}\"", c.name)).collect();
     let there = match list.is_empty() {
-        true => "there are none; use --camera-position and --camera-target".to_owned(),
+        true => {
+            "there are none; use --camera-file, or --camera-position and --camera-target".to_owned()
+        }
         false => format!("there are {}", list.join(", ")),
     };
     PbgiError::usage(format!("there is no camera \"{name}\"; {there}"))
@@ -136,11 +171,22 @@ mod tests {
             target: DVec3::new(5e6, 0.0, 1.0),
             up: None,
             fov_degrees: None,
+            turned_degrees: 0.0,
         };
         let camera = context(None).find(&choice).unwrap();
         assert_eq!(Vec3::from(camera.transform.translation), Vec3::new(3.0, 0.0, 1.0));
         let above: Vec3 = camera.transform.matrix3.y_axis.into();
         assert!((above - Vec3::Z).length() < 1e-6);
+    }
+
+    #[test]
+    fn cameras_turn_about_their_target() {
+        let (eye, target) = (DVec3::new(3.0, 4.0, 7.0), DVec3::new(1.0, 4.0, 5.0));
+        let turned = |degrees| turn_about(eye, target, Vec3::Z, degrees);
+        assert!(turned(90.0).distance(DVec3::new(1.0, 6.0, 7.0)) < 1e-12);
+        assert!(turned(-180.0).distance(DVec3::new(-1.0, 4.0, 7.0)) < 1e-12);
+        assert!(turned(360.0).distance(eye) < 1e-12);
+        assert_eq!(turned(0.0), eye);
     }
 
     #[test]
@@ -153,7 +199,13 @@ mod tests {
             (DVec3::ZERO, None, Some(180.0)),
             (DVec3::ZERO, None, Some(f32::NAN)),
         ] {
-            let choice = CameraChoice::LookAt { position: place, target, up, fov_degrees };
+            let choice = CameraChoice::LookAt {
+                position: place,
+                target,
+                up,
+                fov_degrees,
+                turned_degrees: 0.0,
+            };
             assert_eq!(context(None).find(&choice).unwrap_err().exit_code(), 2);
         }
     }

@@ -22,7 +22,7 @@ pub struct CommonArgs {
     #[arg(short, long, value_name = "N", default_value_t = 0)]
     pub threads: usize,
     /// How progress is shown on standard error
-    #[arg(long, value_enum, value_name = "MODE", default_value = "auto")]
+    #[arg(long, value_enum, value_name = "MODE", default_value = "auto", hide_short_help = true)]
     pub progress: ProgressMode,
     /// Tell more
     #[arg(short, long, conflicts_with = "quiet")]

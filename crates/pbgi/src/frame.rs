@@ -11,7 +11,10 @@ use crate::shade::{Session, ShadeReport, read_header, up_axis};
 use crate::splat::hide_surfels;
 use crate::{PbgiError, Progress};
 use pbgi_format::Header;
-use pbgi_image::{AttributeValue, Image, ToneMap, auto_exposure, write_exr, write_png};
+use pbgi_image::{
+    Aov, AovNames, AttributeValue, Image, ImageWindow, StoredChannel, ToneMap, auto_exposure,
+    write_png, write_windowed_exr,
+};
 use pbgi_math::{DVec3, Vec3};
 use pbgi_scene::{CameraView, HideOptions, Micropolygon, PixelWindow, Scene, hide};
 use pbgi_schedule::{GatherParts, Receiver, Shading};
@@ -30,12 +33,18 @@ pub struct Frame {
     pub attributes: Vec<(String, AttributeValue)>,
     /// What shading did.
     pub report: ShadeReport,
+    /// Where the pixels lie in what the camera saw.
+    pub(crate) window: ImageWindow,
+    /// The quantities, each with the names of its channels.
+    pub(crate) layers: Vec<(Aov, Vec<String>)>,
+    /// Channels of another file that go along as they are.
+    pub(crate) passed: Vec<StoredChannel>,
     /// What the preview shows.
-    preview: Vec<[f32; 3]>,
+    pub(crate) preview: Vec<[f32; 3]>,
     /// Where the preview shows surfaces.
-    covered: Vec<bool>,
+    pub(crate) covered: Vec<bool>,
     /// Whether the preview shows light, not just occlusion.
-    is_lit: bool,
+    pub(crate) is_lit: bool,
 }
 
 impl Frame {
@@ -45,7 +54,8 @@ impl Frame {
     ///
     /// If the file cannot be written.
     pub fn write_exr(&self, path: &Path) -> Result<(), PbgiError> {
-        Ok(write_exr(path, &self.image, &self.attributes)?)
+        let Self { image, passed, window, attributes, .. } = self;
+        Ok(write_windowed_exr(path, image, passed, window, attributes)?)
     }
 
     /// Writes the beauty as an 8-bit picture with a filmic curve, or ambient occlusion as it is where
@@ -329,8 +339,16 @@ impl<'a> FrameJob<'a> {
             crate::output::frame_attributes(self.request, &self.view, self.origin, &report);
         let (preview, covered) = image.preview(is_lit);
         let image = image.into_image(&self.request.names);
-        Ok(Frame { image, attributes, report, preview, covered, is_lit })
+        let window = ImageWindow::whole(image.width, image.height);
+        let passed = Vec::new();
+        let layers = layers_of(&self.request.aovs, &self.request.names);
+        Ok(Frame { image, attributes, report, window, layers, passed, preview, covered, is_lit })
     }
+}
+
+/// The quantities with the names of their channels.
+pub(crate) fn layers_of(aovs: &[Aov], names: &AovNames) -> Vec<(Aov, Vec<String>)> {
+    aovs.iter().map(|aov| (*aov, names.channels(*aov))).collect()
 }
 
 /// Samples by what they show.
@@ -378,7 +396,6 @@ mod tests {
     use crate::frame_request::FRAME_AOVS;
     use crate::shade::ShadeSettings;
     use crate::{BakeRequest, EnvironmentSpec, LightSource, Sampling, bake, load_scene};
-    use pbgi_image::AovNames;
 
     fn request<'a>(octree: &'a Path, scene: Option<&'a Scene>) -> FrameRequest<'a> {
         let source = LightSource::Uniform([1.0, 2.0, 3.0]);

@@ -3,7 +3,7 @@
 use crate::PbgiError;
 use crate::band::{Band, Piece};
 use crate::frame_request::FrameRequest;
-use crate::shade::ShadeReport;
+use crate::shade::{ShadeReport, ShadeSettings};
 use pbgi_image::{Aov, AovNames, AttributeValue, Image};
 use pbgi_light::Environment;
 use pbgi_math::{DVec3, Mat4, Vec3, Vec4};
@@ -229,8 +229,7 @@ pub(crate) fn frame_attributes(
     origin: DVec3,
     report: &ShadeReport,
 ) -> Vec<(String, AttributeValue)> {
-    use AttributeValue::{Float, Int, Matrix, Text};
-    let settings = &request.settings;
+    use AttributeValue::{Float, Int, Matrix};
     let to_local = |matrix: Mat4| {
         // Products with the origin in f64: it may be millions of units away.
         let m = matrix.as_dmat4();
@@ -241,21 +240,34 @@ pub(crate) fn frame_attributes(
     let mut attributes = vec![
         ("worldToCamera".to_owned(), Matrix(to_local(view.world_to_camera()))),
         ("worldToNDC".to_owned(), Matrix(to_local(view.world_to_ndc()))),
-        ("software".to_owned(), Text(format!("pbgi {}", env!("CARGO_PKG_VERSION")))),
-        ("pbgi:octree".to_owned(), Text(file_name(request.octree))),
-        ("pbgi:surfels".to_owned(), Text(report.surfels.to_string())),
-        ("pbgi:solidAngle".to_owned(), Float(settings.solid_angle_sr)),
-        ("pbgi:raster".to_owned(), Int(settings.raster_edge as i32)),
-        ("pbgi:bias".to_owned(), Float(settings.bias)),
         ("pbgi:samples".to_owned(), Int(request.samples as i32)),
         ("pbgi:share".to_owned(), Int(request.share_pixels as i32)),
         ("pbgi:shadingRate".to_owned(), Float(request.shading_rate)),
-        ("pbgi:receivers".to_owned(), Text(report.receivers.to_string())),
     ];
     if request.share_pixels == 0 {
         // Gathers shared across the borders of bands count twice, and bands must not show.
         attributes.push(("pbgi:cutSizeMean".to_owned(), Float(report.cut_mean as f32)));
     }
+    attributes.extend(settings_attributes(request.octree, &request.settings, report));
+    attributes
+}
+
+/// Settings and measured error as attributes. They are the same for any number of threads and any memory limit.
+pub(crate) fn settings_attributes(
+    octree: &Path,
+    settings: &ShadeSettings,
+    report: &ShadeReport,
+) -> Vec<(String, AttributeValue)> {
+    use AttributeValue::{Float, Int, Text};
+    let mut attributes = vec![
+        ("software".to_owned(), Text(format!("pbgi {}", env!("CARGO_PKG_VERSION")))),
+        ("pbgi:octree".to_owned(), Text(file_name(octree))),
+        ("pbgi:surfels".to_owned(), Text(report.surfels.to_string())),
+        ("pbgi:solidAngle".to_owned(), Float(settings.solid_angle_sr)),
+        ("pbgi:raster".to_owned(), Int(settings.raster_edge as i32)),
+        ("pbgi:bias".to_owned(), Float(settings.bias)),
+        ("pbgi:receivers".to_owned(), Text(report.receivers.to_string())),
+    ];
     if let Some(environment) = &settings.environment {
         attributes.push(("pbgi:environment".to_owned(), Text(environment.to_string())));
     }

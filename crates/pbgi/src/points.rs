@@ -1,9 +1,11 @@
-//! Shading of points: receivers from a file, or all surfels of an octree, with results as PLY.
+//! Shading of points: receivers from a file, or all surfels of an octree, with results as a table or in the scan itself.
 
 use crate::memory_split::MemorySplit;
-use crate::shade::{CHUNK_RECEIVERS, Session, ShadeReport, ShadeSettings, read_header};
+use crate::output_path::folder_of;
+use crate::scan::{is_scan, is_scan_name, read_scan};
+use crate::shade::{CHUNK_RECEIVERS, Session, ShadeReport, ShadeSettings, read_header, up_axis};
 use crate::{PbgiError, Progress};
-use pbgi_cloud::{PlyWriter, ReceiverTable};
+use pbgi_cloud::{LasResultWriter, ReceiverTable, RowWriter};
 use pbgi_format::LeafSurfel;
 use pbgi_math::{DVec3, Vec3};
 use pbgi_schedule::{Receiver, Shading};
@@ -16,7 +18,8 @@ use std::time::Instant;
 /// Where to gather light.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PointSource {
-    /// At the vertices of a PLY file with positions and normals; its other columns pass through.
+    /// At the vertices of a PLY file with positions and normals, whose other columns pass through, or at all points of a
+    /// LAS or LAZ file, whose normals are estimated.
     File(PathBuf),
     /// At every surfel of the octree file, in file order. A surfel without a normal looks up.
     Surfels,
@@ -29,7 +32,7 @@ pub struct PointsRequest<'a> {
     pub octree: &'a Path,
     /// The receivers.
     pub source: PointSource,
-    /// The PLY file to write.
+    /// The file to write: `.npy`, `.csv`, else PLY; `.las` or `.laz` for the scan itself with more dimensions.
     pub target: &'a Path,
     /// Quality, light and resources.
     pub settings: ShadeSettings,
@@ -61,8 +64,10 @@ const RECEIVER_BYTES: u64 = size_of::<Receiver>() as u64;
 const CHUNK_BYTES: u64 = (CHUNK_RECEIVERS * 4 * (size_of::<Shading>() + 64)) as u64;
 
 /// Shades points and writes position, normal, irradiance in W·m⁻², ambient occlusion (1 is open), sky
-/// visibility and bent normal of each, in the order of the source, as PLY. The file appears when it is
-/// complete. Columns of the input with the name of a result are replaced by it.
+/// visibility and bent normal of each, in the order of the source, as a table. The file appears when it is
+/// complete. Columns of the input with the name of a result are replaced by it. A scan that is to come back as LAS or
+/// LAZ keeps all it has and gets the dimensions `pbgi_irradiance` (luminance), `pbgi_irradiance_r` to `_b`, `pbgi_ao`
+/// and `pbgi_sky_visibility`.
 ///
 /// # Errors
 ///
@@ -79,12 +84,22 @@ pub fn shade_points(
     let header = read_header(request.octree)?;
     let environment =
         settings.environment.as_ref().map(|e| e.load(header.flags.z_up)).transpose()?;
+    let has_normals = match &request.source {
+        PointSource::File(path) => !is_scan(path)?,
+        PointSource::Surfels => true,
+    };
+    let phases = 1 + u32::from(!has_normals) + u32::from(settings.check_receivers > 0);
+    progress.set_phase_count(phases);
     let table = match &request.source {
+        PointSource::File(path) if !has_normals => {
+            let (temp_dir, up) = (folder_of(request.target), up_axis(&header));
+            Some(read_scan(path, settings, temp_dir, up, progress, cancel)?)
+        }
         PointSource::File(path) => Some(ReceiverTable::read(path)?),
         PointSource::Surfels => None,
     };
     let origin = table.as_ref().map_or(header.origin, |table| table.origin);
-    let mut writer = ResultWriter::create(request.target, table.as_ref(), origin)?;
+    let mut writer = ResultWriter::create(request, table.as_ref(), origin)?;
     let count = table.as_ref().map_or(0, |t| t.len() as u64);
     let frame_bytes = count * RECEIVER_BYTES + CHUNK_BYTES;
     let split = MemorySplit::measure(settings.memory_bytes, settings.threads)
@@ -92,13 +107,12 @@ pub fn shade_points(
     let extra_readers = usize::from(table.is_none());
     let mut session =
         Session::open(request.octree, settings, environment, split, extra_readers, cancel)?;
-    progress.set_phase_count(1 + u32::from(settings.check_receivers > 0));
     match &table {
         Some(table) => shade_table(&mut session, table, header.origin, &mut writer, progress)?,
         None => shade_surfels(&mut session, header.origin, &mut writer, progress, cancel)?,
     }
     let mut report = session.finish(progress)?;
-    writer.writer.finish()?;
+    writer.finish()?;
     report.total_seconds = start.elapsed().as_secs_f64();
     Ok(report)
 }
@@ -112,6 +126,7 @@ fn shade_table(
     progress: &Progress,
 ) -> Result<(), PbgiError> {
     let shift = table.origin - origin;
+    let passed_columns = writer.passed_columns.clone();
     let phase = progress.start_phase("shade", "receivers", Some(table.len() as u64));
     for first in (0..table.len()).step_by(CHUNK_RECEIVERS) {
         let rows = first..(first + CHUNK_RECEIVERS).min(table.len());
@@ -126,11 +141,8 @@ fn shade_table(
             session.shade(&receivers, None, &|done| phase.set_done(first as u64 + done))?;
         for (row, shading) in rows.zip(&shadings) {
             let position = table.positions[row].as_dvec3() + table.origin;
-            writer.start_row(position, table.normals[row], shading);
-            for index in &writer.passed_columns {
-                writer.row.push(f64::from(table.columns[*index].values[row]));
-            }
-            writer.end_row()?;
+            let others = passed_columns.iter().map(|index| table.columns[*index].values[row]);
+            writer.write(position, table.normals[row], shading, others)?;
         }
     }
     Ok(())
@@ -157,10 +169,8 @@ fn shade_surfels(
         done += chunk.len() as u64;
         for (surfel, (receiver, shading)) in chunk.iter().zip(receivers.iter().zip(&shadings)) {
             let position = surfel.center.as_dvec3() + origin;
-            writer.start_row(position, receiver.normal, shading);
-            writer.extend([surfel.radius, surfel.area]);
-            writer.extend(surfel.albedo);
-            writer.end_row()?;
+            let others = [surfel.radius, surfel.area].into_iter().chain(surfel.albedo);
+            writer.write(position, receiver.normal, shading, others)?;
         }
         chunk.clear();
         Ok(())
@@ -177,22 +187,52 @@ fn shade_surfels(
     shade(&mut chunk)
 }
 
-/// Rows of results on their way into a PLY file.
+/// Dimensions that a scan comes back with: luminance of the irradiance (Rec. 709) and its channels, W·m⁻².
+const SCAN_DIMENSIONS: [&str; 6] = [
+    "pbgi_irradiance",
+    "pbgi_irradiance_r",
+    "pbgi_irradiance_g",
+    "pbgi_irradiance_b",
+    "pbgi_ao",
+    "pbgi_sky_visibility",
+];
+
+/// Results on their way into a file.
 struct ResultWriter {
-    writer: PlyWriter,
-    row: Vec<f64>,
+    target: Target,
     /// Columns of the input that pass through.
     passed_columns: Vec<usize>,
 }
 
+enum Target {
+    /// A table, and the row under way.
+    Rows(RowWriter, Vec<f64>),
+    /// The scan again, and values to be written.
+    Scan(Box<LasResultWriter>, Vec<f32>),
+}
+
 impl ResultWriter {
-    /// Starts the file: results, then columns of `table`, or those of surfels without one. Positions
-    /// are doubles where coordinates are relative to an `origin`.
+    /// Starts the file: the scan of the source again where `target` is named as one; else rows of results, then columns
+    /// of `table`, or those of surfels without one. Positions are doubles where coordinates are relative to an `origin`.
     fn create(
-        target: &Path,
+        request: &PointsRequest<'_>,
         table: Option<&ReceiverTable>,
         origin: DVec3,
     ) -> Result<Self, PbgiError> {
+        let target = request.target;
+        if is_scan_name(target) {
+            return match &request.source {
+                PointSource::File(path) if is_scan(path)? => {
+                    let writer = LasResultWriter::create(path, target, &SCAN_DIMENSIONS)?;
+                    let target = Target::Scan(Box::new(writer), Vec::new());
+                    Ok(Self { target, passed_columns: Vec::new() })
+                }
+                _ => Err(PbgiError::usage(format!(
+                    "{}: only the points of LAS and LAZ files come back as such; name a .ply, .npy or .csv file",
+                    target.display()
+                ))),
+            };
+        }
         let double_count = if origin == DVec3::ZERO { 0 } else { 3 };
         let mut names: Vec<&str> = RESULT_COLUMNS.to_vec();
         let mut passed_columns = Vec::new();
@@ -207,24 +247,50 @@ impl ResultWriter {
                 }
             }
         }
-        let writer = PlyWriter::create_with_doubles(target, &names, double_count)?;
-        Ok(Self { writer, row: Vec::new(), passed_columns })
+        let writer = RowWriter::create(target, &names, double_count)?;
+        Ok(Self { target: Target::Rows(writer, Vec::new()), passed_columns })
     }
 
-    fn start_row(&mut self, position: DVec3, normal: Vec3, shading: &Shading) {
-        self.row.clear();
-        self.row.extend(position.to_array());
-        self.extend(normal.to_array());
-        self.extend(shading.irradiance());
-        self.extend([shading.ambient_occlusion, shading.sky_visibility]);
-        self.extend(shading.bent_normal.to_array());
+    /// Appends the result of a receiver and, in tables, what goes with it.
+    fn write(
+        &mut self,
+        position: DVec3,
+        normal: Vec3,
+        shading: &Shading,
+        others: impl IntoIterator<Item = f32>,
+    ) -> Result<(), PbgiError> {
+        let irradiance = shading.irradiance();
+        let open = [shading.ambient_occlusion, shading.sky_visibility];
+        match &mut self.target {
+            Target::Rows(writer, row) => {
+                row.clear();
+                row.extend(position.to_array());
+                let floats = normal.to_array().into_iter().chain(irradiance).chain(open);
+                let floats = floats.chain(shading.bent_normal.to_array()).chain(others);
+                row.extend(floats.map(f64::from));
+                writer.write_rows(row)?;
+            }
+            Target::Scan(writer, values) => {
+                let [r, g, b] = irradiance;
+                values.extend([0.2126 * r + 0.7152 * g + 0.0722 * b, r, g, b]);
+                values.extend(open);
+                if values.len() >= CHUNK_RECEIVERS {
+                    writer.write(values)?;
+                    values.clear();
+                }
+            }
+        }
+        Ok(())
     }
 
-    fn extend<const N: usize>(&mut self, values: [f32; N]) {
-        self.row.extend(values.map(f64::from));
-    }
-
-    fn end_row(&mut self) -> Result<(), PbgiError> {
-        Ok(self.writer.write_double_rows(&self.row)?)
+    /// Completes the file.
+    fn finish(self) -> Result<u64, PbgiError> {
+        match self.target {
+            Target::Rows(writer, _) => Ok(writer.finish()?),
+            Target::Scan(mut writer, values) => {
+                writer.write(&values)?;
+                Ok(writer.finish()?)
+            }
+        }
     }
 }

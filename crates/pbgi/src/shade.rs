@@ -316,6 +316,7 @@ impl<'a> Session<'a> {
             memory: self.memory,
             memory_peak_bytes: crate::memory::peak_resident_bytes(),
             check,
+            empty_pixels: 0,
             surfels: self.octree.header().surfel_count,
             solid_angle_sr: self.gather.solid_angle_sr,
             raster_edge: self.gather.raster_edge,
@@ -424,6 +425,8 @@ pub struct ShadeReport {
     pub memory_peak_bytes: Option<u64>,
     /// Measured error, if asked for.
     pub check: Option<CheckReport>,
+    /// Pixels of a G-buffer that show no surface.
+    pub empty_pixels: u64,
     /// Surfels of the octree file.
     pub surfels: u64,
     /// Largest solid angle of a node in steradians.
@@ -455,6 +458,9 @@ impl ShadeReport {
             ("bytes read", format_bytes(self.cache.bytes_read)),
             ("memory split", self.memory.to_string()),
         ];
+        if self.empty_pixels > 0 {
+            rows.push(("empty pixels", format_count(self.empty_pixels as f64)));
+        }
         let limit = format_bytes(self.memory.limit_bytes);
         let peak = self.memory_peak_bytes.map_or("unknown".to_owned(), format_bytes);
         rows.push(("peak memory", format!("{peak} of {limit}")));

@@ -1,36 +1,46 @@
 //! Command line of pbgi-shade.
 
+use crate::frames::Frames;
 use clap::{Args, Parser, ValueEnum};
 use pbgi::cli::{CommonArgs, parse_resolution, parse_triple};
-use pbgi::{Aov, AovNames, AovPreset, FRAME_AOVS};
+use pbgi::{Aov, AovNames, AovPreset};
 use pbgi::{CameraChoice, EnvironmentSpec, LightSource, PbgiError, ShadeSettings};
 use std::path::PathBuf;
 
 /// Gather light from an octree file, for a picture or for points
 ///
 /// A picture shows the scene given by --scene (the mesh the octree was baked from), or, without one,
-/// the surfels of the octree themselves. Results for points go to a PLY file.
+/// the surfels of the octree themselves; with --gbuffer, what another renderer saw is shaded. Results for points go to
+/// a table, or back into the scan they came from.
 ///
 /// Examples:
 ///   pbgi-shade street.pbgi --scene demo:street --env sky.exr -o street.exr --preview street.png
+///   pbgi-shade street.pbgi --gbuffer beauty.exr --pass-through --env sky.exr -o lit.exr
 ///   pbgi-shade room.pbgi --receivers points.ply -o shaded.ply --check 200
-#[derive(Debug, Parser)]
-#[command(name = "pbgi-shade", version, verbatim_doc_comment)]
+///   pbgi-shade town.pbgi --receivers town.laz --env-color 1,1,1 -o town_lit.laz
+#[derive(Clone, Debug, Parser)]
+#[command(name = "pbgi-shade", version, verbatim_doc_comment, max_term_width = 100)]
 pub struct ShadeArgs {
     /// Octree file, made by pbgi-bake
     pub octree: PathBuf,
-    /// Result: an EXR picture (overwritten), or a PLY file for points
+    /// Result: an EXR picture (overwritten); for points .ply .npy .csv, or .las .laz for a scan
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,
-    /// Replace a PLY file that exists
+    /// Replace a file of points that exists
     #[arg(long)]
     pub force: bool,
     /// What is seen or shaded
     #[command(flatten)]
     pub view: ViewArgs,
+    /// A G-buffer
+    #[command(flatten)]
+    pub gbuffer: GBufferArgs,
     /// Points
     #[command(flatten)]
     pub points: PointArgs,
+    /// Frames
+    #[command(flatten)]
+    pub animation: AnimationArgs,
     /// Distant light
     #[command(flatten)]
     pub light: LightArgs,
@@ -46,15 +56,21 @@ pub struct ShadeArgs {
 }
 
 /// What a picture shows.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Picture")]
 pub struct ViewArgs {
     /// Scene whose surfaces are shaded: .glb .gltf .obj .ply or demo:NAME
     #[arg(long, value_name = "FILE")]
     pub scene: Option<String>,
     /// Camera of the scene, by name or number
-    #[arg(long, value_name = "NAME|INDEX", conflicts_with = "camera_position")]
+    #[arg(long, value_name = "NAME|INDEX", conflicts_with_all = ["camera_position", "camera_file"])]
     pub camera: Option<String>,
+    /// Camera of a JSON file, or of an EXR picture's attributes
+    ///
+    /// JSON has either position, target and, if wanted, up, or the rows of camera_to_world, which acts on columns; and fov,
+    /// the vertical field of view in degrees. An EXR picture has worldToNDC, or worldToCamera with --fov.
+    #[arg(long, value_name = "JSON|EXR", conflicts_with = "camera_position")]
+    pub camera_file: Option<PathBuf>,
     /// Place of the eye
     #[arg(long, value_name = "X,Y,Z", requires = "camera_target", value_parser = parse_place,
           allow_hyphen_values = true)]
@@ -64,11 +80,11 @@ pub struct ViewArgs {
           allow_hyphen_values = true)]
     pub camera_target: Option<[f64; 3]>,
     /// Vertical field of view in degrees [default: 45]
-    #[arg(long, value_name = "DEG", requires = "camera_position")]
+    #[arg(long, value_name = "DEG", conflicts_with = "camera")]
     pub fov: Option<f32>,
     /// What is up in the picture [default: the file's up axis]
     #[arg(long, value_name = "X,Y,Z", requires = "camera_position", value_parser = parse_triple,
-          allow_hyphen_values = true)]
+          allow_hyphen_values = true, hide_short_help = true)]
     pub up: Option<[f32; 3]>,
     /// Size of the picture in pixels
     #[arg(long, value_name = "WxH", default_value = "960x540", value_parser = parse_resolution)]
@@ -77,42 +93,114 @@ pub struct ViewArgs {
     #[arg(long, value_name = "N", default_value_t = 8)]
     pub samples: u32,
     /// Area of a micropolygon in pixels
-    #[arg(long, value_name = "PIXELS", default_value_t = 1.0)]
+    #[arg(long, value_name = "PIXELS", default_value_t = 1.0, hide_short_help = true)]
     pub shading_rate: f32,
-    /// Pixels of blocks in which surfaces share gathers of broad light; 0 shares nothing
+    /// Pixels of blocks in which surfaces share broad light; 0 shares nothing
     #[arg(long, value_name = "PIXELS", default_value_t = 0)]
     pub share: u32,
 }
 
 impl ViewArgs {
-    /// The camera asked for.
-    pub fn camera(&self) -> CameraChoice {
+    /// The camera asked for, one at a place turned by as many degrees.
+    pub fn camera(&self, turned_degrees: f64) -> CameraChoice {
         if let (Some(position), Some(target)) = (self.camera_position, self.camera_target) {
             return CameraChoice::LookAt {
                 position: position.into(),
                 target: target.into(),
                 up: self.up.map(Into::into),
                 fov_degrees: self.fov,
+                turned_degrees,
             };
+        }
+        if let Some(path) = self.camera_file.clone() {
+            return CameraChoice::File { path, fov_degrees: self.fov };
         }
         self.camera.clone().map_or(CameraChoice::Default, CameraChoice::Named)
     }
 }
 
+/// Surfaces that another renderer saw, instead of a picture of our own.
+#[derive(Clone, Debug, Args)]
+#[command(next_help_heading = "G-buffer instead of a picture")]
+pub struct GBufferArgs {
+    /// EXR of another renderer with positions and normals
+    ///
+    /// Channels are found by the names of Arnold (P, N, albedo), Blender (Position, Normal, Diffuse Color) and RenderMan
+    /// (__Pworld, __Nworld, albedo). Pixels whose alpha or normal is 0 show no surface and stay black.
+    #[arg(long, value_name = "EXR", conflicts_with_all = ["scene", "camera"])]
+    pub gbuffer: Option<PathBuf>,
+    /// Space of its vectors
+    #[arg(
+        long,
+        value_enum,
+        value_name = "SPACE",
+        default_value = "world",
+        requires = "gbuffer",
+        hide_short_help = true
+    )]
+    pub gbuffer_space: SpaceArg,
+    /// Take its other channels and attributes along, bit for bit
+    #[arg(long, requires = "gbuffer")]
+    pub pass_through: bool,
+}
+
+/// The space of a G-buffer's vectors.
+#[derive(Clone, Copy, Debug, Default, ValueEnum)]
+pub enum SpaceArg {
+    /// The world
+    #[default]
+    World,
+    /// The camera, as RenderMan's P and Nn; the attribute worldToCamera leads back
+    Camera,
+}
+
+/// What points have nothing to do with.
+const PICTURE_FLAGS: [&str; 5] = ["scene", "gbuffer", "camera", "camera_position", "camera_file"];
+
 /// Which points are shaded instead of a picture.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Points instead of a picture")]
 pub struct PointArgs {
-    /// Points with normals; the other columns of the file pass through
-    #[arg(long, value_name = "PLY", conflicts_with_all = ["scene", "camera", "camera_position"])]
+    /// Points with normals (.ply), or a scan (.las .laz)
+    ///
+    /// Other columns of a PLY file pass through. Normals of scans are estimated, and all their points are shaded.
+    #[arg(long, value_name = "FILE", conflicts_with_all = PICTURE_FLAGS)]
     pub receivers: Option<PathBuf>,
     /// Every surfel of the octree
-    #[arg(long, conflicts_with_all = ["receivers", "scene", "camera", "camera_position"])]
+    #[arg(long, conflicts_with = "receivers", conflicts_with_all = PICTURE_FLAGS)]
     pub surfels: bool,
 }
 
+/// Frames of an animation.
+#[derive(Clone, Debug, Args)]
+#[command(next_help_heading = "Animation")]
+pub struct AnimationArgs {
+    /// Frames, such as 1-20; their numbers replace #### in file names
+    ///
+    /// 0-100x10 is every tenth. All files may have a run of # in their names: octree, scene, camera, environment,
+    /// G-buffer, points, and those that are written.
+    #[arg(long, value_name = "RANGE", value_parser = Frames::parse)]
+    pub frames: Option<Frames>,
+    /// Turn of the environment from frame number to frame number
+    #[arg(
+        long,
+        value_name = "DEG",
+        default_value_t = 0.0,
+        requires = "frames",
+        allow_hyphen_values = true
+    )]
+    pub env_turn: f32,
+    /// Turn of --camera-position about the upward line through its target, from frame number to frame number
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, requires_all = ["frames", "camera_position"],
+          allow_hyphen_values = true, hide_short_help = true)]
+    pub camera_turn: f64,
+    /// Turn of the camera at this frame.
+    #[arg(skip)]
+    pub camera_turned: f64,
+}
+
 /// Distant light.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Light")]
 pub struct LightArgs {
     /// Equirectangular environment, EXR or HDR
@@ -121,11 +209,17 @@ pub struct LightArgs {
     /// Uniform environment of this radiance
     #[arg(long, value_name = "R,G,B", value_parser = parse_triple, allow_hyphen_values = true)]
     pub env_color: Option<[f32; 3]>,
-    /// Turn of the environment about the up axis, counterclockwise seen from above
+    /// Turn of the environment, counterclockwise seen from above
     #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true)]
     pub env_rotate: f32,
     /// Factor on the environment's radiance
-    #[arg(long, value_name = "F", default_value_t = 1.0, allow_hyphen_values = true)]
+    #[arg(
+        long,
+        value_name = "F",
+        default_value_t = 1.0,
+        allow_hyphen_values = true,
+        hide_short_help = true
+    )]
     pub env_scale: f32,
 }
 
@@ -139,10 +233,10 @@ impl LightArgs {
 }
 
 /// How good the result is.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Quality")]
 pub struct QualityArgs {
-    /// Largest solid angle of a node taken as one, in steradians; 0 takes every surfel
+    /// Largest solid angle of a node taken as one, in sr; 0 takes every surfel
     #[arg(long, visible_alias = "maxsolidangle", value_name = "SR",
           default_value_t = ShadeSettings::default().solid_angle_sr)]
     pub solid_angle: f32,
@@ -150,9 +244,10 @@ pub struct QualityArgs {
     #[arg(long, value_name = "N", default_value_t = ShadeSettings::default().raster_edge)]
     pub raster: usize,
     /// Surfels that rise less than this share of their radius above a receiver are its own surface
-    #[arg(long, value_name = "SHARE", default_value_t = ShadeSettings::default().bias)]
+    #[arg(long, value_name = "SHARE", default_value_t = ShadeSettings::default().bias,
+          hide_short_help = true)]
     pub bias: f32,
-    /// Gather this many receivers again without approximation and print the error
+    /// Gather N receivers again without approximation and print the error
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub check: usize,
 }
@@ -170,21 +265,30 @@ pub enum NamePreset {
 }
 
 /// What is written.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Output")]
 pub struct OutputArgs {
-    /// Channels of the picture, by Arnold's names and `beauty`, or `all`
+    /// Channels, by Arnold's names and `beauty`, or `all`
     #[arg(long, value_name = "LIST", default_value = "all")]
     pub aovs: String,
     /// Names of the channels
-    #[arg(long, value_enum, value_name = "PRESET", default_value = "arnold")]
+    #[arg(
+        long,
+        value_enum,
+        value_name = "PRESET",
+        default_value = "arnold",
+        hide_short_help = true
+    )]
     pub aov_names: NamePreset,
     /// Picture for the eye, with a filmic curve
     #[arg(long, value_name = "PNG")]
     pub preview: Option<PathBuf>,
-    /// Exposure of the preview in stops, or auto
+    /// Picture of all channels side by side
+    #[arg(long, value_name = "PNG")]
+    pub contact_sheet: Option<PathBuf>,
+    /// Exposure of preview and contact sheet in stops, or auto
     #[arg(long, value_name = "EV", default_value = "auto", value_parser = parse_exposure,
-          allow_hyphen_values = true)]
+          allow_hyphen_values = true, hide_short_help = true)]
     pub exposure: Exposure,
     /// Statistics as JSON, to a file or - for standard output
     #[arg(long, value_name = "FILE")]
@@ -192,10 +296,10 @@ pub struct OutputArgs {
 }
 
 impl OutputArgs {
-    /// The channels asked for.
-    pub fn parse_aovs(&self) -> Result<Vec<Aov>, PbgiError> {
+    /// The channels asked for, among those `known`.
+    pub fn parse_aovs(&self, known: &[Aov]) -> Result<Vec<Aov>, PbgiError> {
         if self.aovs == "all" {
-            return Ok(FRAME_AOVS.to_vec());
+            return Ok(known.to_vec());
         }
         let names = AovNames::default();
         let name_of = |aov: Aov| match aov {
@@ -204,16 +308,16 @@ impl OutputArgs {
         };
         let mut aovs = Vec::new();
         for name in self.aovs.split(',').map(str::trim).filter(|name| !name.is_empty()) {
-            let found = FRAME_AOVS.into_iter().find(|a| name_of(*a).eq_ignore_ascii_case(name));
+            let found = known.iter().find(|a| name_of(**a).eq_ignore_ascii_case(name));
             let Some(aov) = found else {
-                let known: Vec<&str> = FRAME_AOVS.iter().map(|a| name_of(*a)).collect();
+                let known: Vec<&str> = known.iter().map(|a| name_of(*a)).collect();
                 return Err(PbgiError::usage(format!(
                     "--aovs: there is no `{name}`; there are {}",
                     known.join(", ")
                 )));
             };
-            if !aovs.contains(&aov) {
-                aovs.push(aov);
+            if !aovs.contains(aov) {
+                aovs.push(*aov);
             }
         }
         if aovs.is_empty() {
@@ -275,6 +379,7 @@ fn parse_place(text: &str) -> Result<[f64; 3], String> {
 mod tests {
     use super::*;
     use clap::CommandFactory;
+    use pbgi::FRAME_AOVS;
 
     fn parse(arguments: &[&str]) -> Result<ShadeArgs, clap::Error> {
         let all = ["pbgi-shade", "a.pbgi", "-o", "a.exr"].iter().chain(arguments);
@@ -287,12 +392,18 @@ mod tests {
     }
 
     #[test]
+    fn short_help_fits_a_screen() {
+        let help = ShadeArgs::command().render_help().to_string();
+        assert!(help.lines().count() <= 60, "{} lines: {help}", help.lines().count());
+    }
+
+    #[test]
     fn numbers_are_read() {
         let args = parse(&["--resolution", "64x36", "--exposure", "-1.5"]).unwrap();
         assert_eq!(args.view.resolution, [64, 36]);
         assert_eq!(args.output_options.exposure, Exposure::Stops(-1.5));
         let camera = ["--camera-position", "-1,2,3e6", "--camera-target", "0,0,0"];
-        let CameraChoice::LookAt { position, .. } = parse(&camera).unwrap().view.camera() else {
+        let CameraChoice::LookAt { position, .. } = parse(&camera).unwrap().view.camera(0.0) else {
             panic!("no look-at camera")
         };
         assert_eq!(position.to_array(), [-1.0, 2.0, 3e6]);
@@ -305,7 +416,8 @@ mod tests {
 
     #[test]
     fn channels_are_found_by_name() {
-        let aovs = |list: &str| parse(&["--aovs", list]).unwrap().output_options.parse_aovs();
+        let aovs =
+            |list: &str| parse(&["--aovs", list]).unwrap().output_options.parse_aovs(&FRAME_AOVS);
         assert_eq!(aovs("all").unwrap().len(), FRAME_AOVS.len());
         assert_eq!(aovs("beauty, ao,P,ao").unwrap(), [Aov::Beauty, Aov::Occlusion, Aov::Position]);
         assert!(aovs("gloss").unwrap_err().to_string().contains("beauty, diffuse_indirect"));

@@ -2,14 +2,17 @@
 #![forbid(unsafe_code)]
 
 mod args;
+mod frames;
 
-use args::ShadeArgs;
+use args::{ShadeArgs, SpaceArg};
 use clap::Parser;
 use pbgi::cli::{self, format_table};
 use pbgi::{
-    FrameRequest, PbgiError, PointSource, PointsRequest, Progress, ShadeReport, ShadeSettings,
-    check_writable, load_scene, refuse_to_overwrite, shade_frame, shade_points,
+    FRAME_AOVS, Frame, FrameRequest, GBUFFER_AOVS, GBufferRequest, GBufferSpace, PbgiError,
+    PointSource, PointsRequest, Progress, Scene, ShadeReport, ShadeSettings, check_writable,
+    load_scene, refuse_to_overwrite, shade_frame, shade_gbuffer, shade_points,
 };
+use std::path::Path;
 use std::process::ExitCode;
 use std::sync::atomic::AtomicBool;
 
@@ -20,11 +23,48 @@ fn main() -> ExitCode {
 
 fn shade(args: &ShadeArgs, cancel: &AtomicBool) -> Result<(), PbgiError> {
     args.common.check()?;
+    let mut scenes = SceneCache::default();
+    let Some(frames) = &args.animation.frames else { return shade_one(args, &mut scenes, cancel) };
+    frames::check(args)?;
+    for number in frames.numbers() {
+        if !args.common.quiet {
+            eprintln!("frame {number}");
+        }
+        shade_one(&frames::args_of(args, frames, number), &mut scenes, cancel)?;
+    }
+    Ok(())
+}
+
+/// The scene of the frame before, which most animations share.
+#[derive(Default)]
+struct SceneCache(Option<(String, Scene)>);
+
+impl SceneCache {
+    /// The scene called `name`; its warnings are given when it is read.
+    fn load(&mut self, name: &str, progress: &Progress) -> Result<&Scene, PbgiError> {
+        let known = self.0.take().filter(|(known, _)| known == name);
+        let entry = match known {
+            Some(entry) => entry,
+            None => {
+                let scene = load_scene(name)?;
+                scene.warnings.iter().for_each(|warning| progress.warn(warning));
+                (name.to_owned(), scene)
+            }
+        };
+        Ok(&self.0.insert(entry).1)
+    }
+}
+
+fn shade_one(
+    args: &ShadeArgs,
+    scenes: &mut SceneCache,
+    cancel: &AtomicBool,
+) -> Result<(), PbgiError> {
     let progress = args.common.start_progress(2);
     let settings = settings(args);
     settings.validate()?;
     let output = &args.output_options;
-    for path in output.stats_json.iter().chain(&output.preview) {
+    for path in [&output.stats_json, &output.preview, &output.contact_sheet].into_iter().flatten() {
         if path.as_os_str() != "-" {
             check_writable(path)?;
         }
@@ -35,7 +75,10 @@ fn shade(args: &ShadeArgs, cancel: &AtomicBool) -> Result<(), PbgiError> {
         None if args.points.surfels => {
             points(args, PointSource::Surfels, settings, &progress, cancel)
         }
-        None => picture(args, settings, &progress, cancel),
+        None => match &args.gbuffer.gbuffer {
+            Some(path) => gbuffer(args, path, settings, &progress, cancel),
+            None => picture(args, scenes, settings, &progress, cancel),
+        },
     }?;
     for warning in &report.warnings {
         progress.warn(warning);
@@ -63,19 +106,17 @@ fn settings(args: &ShadeArgs) -> ShadeSettings {
 
 fn picture(
     args: &ShadeArgs,
+    scenes: &mut SceneCache,
     settings: ShadeSettings,
     progress: &Progress,
     cancel: &AtomicBool,
 ) -> Result<ShadeReport, PbgiError> {
-    let aovs = args.output_options.parse_aovs()?;
-    let scene = args.view.scene.as_deref().map(load_scene).transpose()?;
-    for warning in scene.iter().flat_map(|scene| &scene.warnings) {
-        progress.warn(warning);
-    }
+    let aovs = args.output_options.parse_aovs(&FRAME_AOVS)?;
+    let scene = args.view.scene.as_deref().map(|name| scenes.load(name, progress)).transpose()?;
     let request = FrameRequest {
         octree: &args.octree,
-        scene: scene.as_ref(),
-        camera: args.view.camera(),
+        scene,
+        camera: args.view.camera(args.animation.camera_turned),
         width: args.view.resolution[0],
         height: args.view.resolution[1],
         samples: args.view.samples,
@@ -85,10 +126,39 @@ fn picture(
         names: args.output_options.names(),
         settings,
     };
-    let frame = shade_frame(&request, progress, cancel)?;
+    write_frame(args, shade_frame(&request, progress, cancel)?)
+}
+
+fn gbuffer(
+    args: &ShadeArgs,
+    path: &Path,
+    settings: ShadeSettings,
+    progress: &Progress,
+    cancel: &AtomicBool,
+) -> Result<ShadeReport, PbgiError> {
+    let request = GBufferRequest {
+        octree: &args.octree,
+        gbuffer: path,
+        camera: args.view.camera(args.animation.camera_turned),
+        space: match args.gbuffer.gbuffer_space {
+            SpaceArg::World => GBufferSpace::World,
+            SpaceArg::Camera => GBufferSpace::Camera,
+        },
+        pass_through: args.gbuffer.pass_through,
+        aovs: args.output_options.parse_aovs(&GBUFFER_AOVS)?,
+        names: args.output_options.names(),
+        settings,
+    };
+    write_frame(args, shade_gbuffer(&request, progress, cancel)?)
+}
+
+fn write_frame(args: &ShadeArgs, frame: Frame) -> Result<ShadeReport, PbgiError> {
     frame.write_exr(&args.output)?;
     if let Some(path) = &args.output_options.preview {
         frame.write_preview(path, args.output_options.exposure.stops())?;
+    }
+    if let Some(path) = &args.output_options.contact_sheet {
+        frame.write_contact_sheet(path, args.output_options.exposure.stops())?;
     }
     Ok(frame.report)
 }
@@ -100,8 +170,9 @@ fn points(
     progress: &Progress,
     cancel: &AtomicBool,
 ) -> Result<ShadeReport, PbgiError> {
-    if args.output_options.preview.is_some() {
-        return Err(PbgiError::usage("--preview belongs to a picture; points have none"));
+    if args.output_options.preview.is_some() || args.output_options.contact_sheet.is_some() {
+        let message = "--preview and --contact-sheet belong to a picture; points have none";
+        return Err(PbgiError::usage(message));
     }
     refuse_to_overwrite(&args.output, args.force)?;
     let request = PointsRequest { octree: &args.octree, source, target: &args.output, settings };

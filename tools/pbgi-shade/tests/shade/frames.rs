@@ -1,6 +1,6 @@
 //! Pictures.
 
-use crate::support::{SCENE, octree, shade, text};
+use crate::support::{SCENE, fail, octree, shade, text};
 use pbgi_image::{Aov, AovNames, AttributeValue, Image, Metadata, read_exr};
 use pbgi_math::Vec3;
 use std::path::Path;
@@ -160,4 +160,47 @@ fn previews_and_statistics_are_written() {
     let memory = &stats["memory"];
     let parts = ["held_bytes", "frame_bytes", "cache_bytes"].map(|k| memory[k].as_u64().unwrap());
     assert_eq!(parts.iter().sum::<u64>(), memory["limit_bytes"].as_u64().unwrap());
+}
+
+/// Each frame is the picture its own options would make, under its own name.
+#[test]
+fn frames_are_numbered_and_turn() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let octree = octree();
+    // A sky with one bright side, so that turning it shows.
+    let mut sky = Image::new(16, 8);
+    for name in ["R", "G", "B"] {
+        sky.push(name, (0..128).map(|i| if i % 16 < 4 { 5.0 } else { 0.1 }).collect());
+    }
+    pbgi_image::write_exr(&path("sky.exr"), &sky, &[]).unwrap();
+    let sky = path("sky.exr");
+    let fixed = [text(&octree), "--scene", SCENE, "--resolution", "32x24", "--samples", "1", "-q"];
+    let light = ["--env", text(&sky), "--camera-position=4,3,6", "--camera-target=0,0.5,0"];
+    let (all, sheet) = (path("f.###.exr"), path("sheet.#.png"));
+    let animation = ["--frames", "8-12x2", "--env-turn", "15", "--camera-turn=-5"];
+    let outputs = ["-o", text(&all), "--contact-sheet", text(&sheet)];
+    shade(&[&fixed[..], &light, &animation, &outputs].concat());
+    let read = |name: &str| read_exr(&path(name)).unwrap().0;
+    for (k, name) in ["f.008.exr", "f.010.exr", "f.012.exr"].into_iter().enumerate() {
+        let (sin, cos) = (f64::from(k as u32) * -10.0).to_radians().sin_cos();
+        let eye = format!("{},3,{}", 4.0 * cos + 6.0 * sin, -4.0 * sin + 6.0 * cos);
+        let light = ["--env", text(&sky), "--camera-position", &eye];
+        let camera = ["--camera-target=0,0.5,0", "--env-rotate", &(30 * k).to_string()];
+        let one = path("one.exr");
+        shade(&[&fixed[..], &light, &camera, &["-o", text(&one)]].concat());
+        let (frame, one) = (read(name), read("one.exr"));
+        let [frame, one] = [&frame, &one].map(|image| image.channel("irradiance.G").unwrap());
+        let difference: f32 = frame.iter().zip(one).map(|(a, b)| (a - b).abs()).sum();
+        assert!(difference < 1e-3 * one.iter().sum::<f32>(), "{name}: {difference}");
+    }
+    let changed =
+        |channel: &str| read("f.008.exr").channel(channel) != read("f.010.exr").channel(channel);
+    assert!(changed("irradiance.G") && changed("Z"));
+    for name in ["sheet.8.png", "sheet.10.png", "sheet.12.png"] {
+        assert!(std::fs::read(path(name)).unwrap().starts_with(b"\x89PNG"), "{name}");
+    }
+    let same = path("same.exr");
+    let message = fail(2, &[&fixed[..], &animation[..2], &["-o", text(&same)]].concat());
+    assert!(message.contains("####"), "{message}");
 }

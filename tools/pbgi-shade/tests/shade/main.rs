@@ -3,5 +3,6 @@
 
 mod errors;
 mod frames;
+mod gbuffers;
 mod points;
 mod support;

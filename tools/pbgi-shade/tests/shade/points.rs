@@ -1,7 +1,7 @@
 //! Points.
 
 use crate::support::{SCENE, bake_to, fail, octree, shade, text};
-use pbgi_cloud::{PlyWriter, ReceiverTable};
+use pbgi_cloud::{CloudOptions, LasPoints, PlyWriter, ReceiverTable, SurfelSource};
 use std::f32::consts::PI;
 use std::path::Path;
 
@@ -95,6 +95,112 @@ fn the_measured_error_vanishes_with_the_solid_angle() {
     let table = ReceiverTable::read(&output).unwrap();
     let open: f32 = table.column("ao").unwrap().iter().sum::<f32>() / table.len() as f32;
     assert!(open < 0.02, "{open}");
+}
+
+/// A LAS 1.2 file of point format 0: a square of ground with a wall on it, far from the origin. Every tenth point is
+/// noise, and intensities count.
+fn scan() -> Vec<u8> {
+    let mut points: Vec<[i32; 3]> = Vec::new();
+    for i in 0..60 {
+        points.extend((0..60).map(|k| [i * 50, k * 50, 0]));
+        points.extend((1..20).map(|k| [i * 50, 1500, k * 50]));
+    }
+    let mut bytes = b"LASF".to_vec();
+    bytes.resize(227, 0);
+    bytes[24..26].copy_from_slice(&[1, 2]);
+    bytes[94..96].copy_from_slice(&227u16.to_le_bytes());
+    bytes[96..100].copy_from_slice(&227u32.to_le_bytes());
+    bytes[105..107].copy_from_slice(&20u16.to_le_bytes());
+    bytes[107..111].copy_from_slice(&(points.len() as u32).to_le_bytes());
+    // Scales, offsets, and the box: largest and smallest of x, y, z.
+    let box_of = [637_030.0, 637_000.0, 5_512_030.0, 5_512_000.0, 10.0, 0.0];
+    let offsets = [637_000.0, 5_512_000.0, 0.0];
+    let numbers = [0.01; 3].into_iter().chain(offsets).chain(box_of);
+    for (k, number) in numbers.enumerate() {
+        bytes[131 + 8 * k..139 + 8 * k].copy_from_slice(&f64::to_le_bytes(number));
+    }
+    for (i, point) in points.iter().enumerate() {
+        bytes.extend(point.iter().flat_map(|x| x.to_le_bytes()));
+        bytes.extend((i as u16).to_le_bytes());
+        bytes.extend([0x11, if i % 10 == 0 { 7 } else { 2 }, 0, 3, 0, 0]);
+    }
+    bytes
+}
+
+/// All surfels of a scan, noise included.
+fn read_scan(path: &Path) -> Vec<pbgi_cloud::Surfel> {
+    let classes = pbgi_cloud::ClassFilter::Skip(Vec::new());
+    let options = CloudOptions { classes, ..CloudOptions::default() };
+    let mut source = LasPoints::open(path, &options).unwrap();
+    let mut surfels = Vec::new();
+    while source.read_chunk(&mut surfels).unwrap() {}
+    surfels
+}
+
+#[test]
+fn a_scan_comes_back_with_its_shading() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let bytes = scan();
+    let count = (bytes.len() - 227) / 20;
+    std::fs::write(path("in.las"), &bytes).unwrap();
+    bake_to(text(&path("in.las")), 1, &path("scan.pbgi"));
+    for name in ["out.las", "out.laz", "out.csv"] {
+        let [octree, input, output] = ["scan.pbgi", "in.las", name].map(path);
+        let files = [text(&octree), "--receivers", text(&input), "-o", text(&output)];
+        shade(&[&files[..], &["--env-color", "2,1,0.5", "-q"]].concat());
+    }
+    assert!(read_scan(&path("out.las")) == read_scan(&path("in.las")));
+    assert!(read_scan(&path("out.laz")) == read_scan(&path("in.las")));
+    let las = std::fs::read(path("out.las")).unwrap();
+    let offset = u32::from_le_bytes(las[96..100].try_into().unwrap()) as usize;
+    assert_eq!(offset, 227 + 54 + 6 * 192);
+    assert_eq!(las.len(), offset + count * (20 + 24));
+    let table = std::fs::read_to_string(path("out.csv")).unwrap();
+    let mut lines = table.lines();
+    let names: Vec<&str> = lines.next().unwrap().split(',').collect();
+    assert_eq!(names[..3], ["x", "y", "z"]);
+    let column = |name: &str| names.iter().position(|n| *n == name).unwrap();
+    let (mut ground, mut foot) = (Vec::new(), Vec::new());
+    for (i, line) in lines.enumerate() {
+        let row: Vec<f64> = line.split(',').map(|word| word.parse().unwrap()).collect();
+        let point = &las[offset + i * 44..][..44];
+        assert_eq!(point[..20], bytes[227 + i * 20..][..20], "fields stay as they were");
+        let value = |k: usize| f32::from_le_bytes(point[20 + 4 * k..][..4].try_into().unwrap());
+        for (k, name) in [(1, "irradiance_r"), (4, "ao"), (5, "sky_visibility")] {
+            assert_eq!(f64::from(value(k)), f64::from(row[column(name)] as f32), "{name}");
+        }
+        let luminance = 0.2126 * value(1) + 0.7152 * value(2) + 0.0722 * value(3);
+        assert!((value(0) - luminance).abs() < 1e-5);
+        assert!((row[0] - 637_015.0).abs() < 16.0 && (row[1] - 5_512_015.0).abs() < 16.0);
+        let from_wall = (row[1] - 5_512_015.0).abs();
+        if row[2] == 0.0 && (2.0..28.0).contains(&(row[0] - 637_000.0)) {
+            if from_wall > 12.0 {
+                ground.push(value(4));
+            } else if (0.6..2.0).contains(&from_wall) {
+                foot.push(value(4));
+            }
+        }
+    }
+    let mean = |values: &[f32]| values.iter().sum::<f32>() / values.len() as f32;
+    // The wall hides up to half of the sky at its foot.
+    let (ground, foot) = (mean(&ground), mean(&foot));
+    assert!(ground > 0.85 && (0.4..0.75).contains(&foot), "{ground} {foot}");
+}
+
+#[test]
+fn results_become_tables_for_analysis() {
+    let folder = tempfile::tempdir().unwrap();
+    let [input, npy, las] = ["in.ply", "out.npy", "out.las"].map(|name| folder.path().join(name));
+    write_receivers(&input);
+    let octree = octree();
+    let files = [text(&octree), "--receivers", text(&input), "-q", "-o"];
+    shade(&[&files[..], &[text(&npy)]].concat());
+    let bytes = std::fs::read(&npy).unwrap();
+    let header = String::from_utf8_lossy(&bytes[10..]).into_owned();
+    assert!(header.contains("('id', '<f4')") && header.contains("'shape': (3,)"), "{header}");
+    let message = fail(2, &[&files[..], &[text(&las)]].concat());
+    assert!(message.contains("only the points of LAS"), "{message}");
 }
 
 #[test]
