@@ -49,7 +49,8 @@ enum ChildContent {
 
 struct Child {
     stored_box: ChildBox,
-    lobes: Vec<Lobe>,
+    /// One past its last lobe among those of the group.
+    lobes_end: usize,
     content: ChildContent,
 }
 
@@ -57,6 +58,8 @@ struct Child {
 pub(crate) struct Group {
     fields: GroupFields,
     children: Vec<Child>,
+    /// Lobes of all children.
+    lobes: Vec<Lobe>,
     /// Bytes of the whole treelet's groups.
     groups_bytes: usize,
     /// Bytes of the whole treelet's links to other pages.
@@ -74,6 +77,7 @@ impl Group {
         aggregate: &NodeAggregate,
         nodes: Vec<(u32, PendingNode<'_>)>,
         layout: &SurfelLayout,
+        writer: &mut LeafWriter,
     ) -> Self {
         let bounds = aggregate.bounds;
         let mut fields = GroupFields {
@@ -85,15 +89,16 @@ impl Group {
             leaves: 0,
         };
         let mut children = Vec::with_capacity(nodes.len());
+        let lobe_count = nodes.iter().map(|(_, node)| node.aggregate.lobes.len()).sum();
+        let mut lobes = Vec::with_capacity(lobe_count);
         let mut depth = 0;
-        let mut writer = LeafWriter::default();
         for (octant, node) in nodes {
             fields.octants |= 1 << octant;
             let stored_box = ChildBox::around(&node.aggregate.bounds, &bounds);
             let content = match node.content {
                 PendingContent::Leaf(surfels) => {
                     fields.leaves |= 1 << octant;
-                    encode_leaf(&surfels, &stored_box.leaf_frame(&bounds), layout, &mut writer)
+                    encode_leaf(&surfels, &stored_box.leaf_frame(&bounds), layout, writer)
                 }
                 PendingContent::Group(group) => {
                     depth = depth.max(group.depth);
@@ -101,15 +106,13 @@ impl Group {
                 }
             };
             let decoded = stored_box.decode(&bounds);
-            children.push(Child {
-                stored_box,
-                lobes: node.aggregate.lobes.iter().map(|l| l.to_lobe(&decoded)).collect(),
-                content,
-            });
+            lobes.extend(node.aggregate.lobes.iter().map(|l| l.to_lobe(&decoded)));
+            children.push(Child { stored_box, lobes_end: lobes.len(), content });
         }
         let mut group = Self {
             fields,
             children,
+            lobes,
             groups_bytes: 0,
             link_bytes: 0,
             surfel_bytes: 0,
@@ -136,7 +139,7 @@ impl Group {
 
     /// Bytes of this group alone: (without lobes, of lobes).
     pub fn own_bytes(&self, layout: &SurfelLayout) -> (u64, u64) {
-        let lobe_count: usize = self.children.iter().map(|c| c.lobes.len()).sum();
+        let lobe_count = self.lobes.len();
         let all = group_bytes(self.children.len(), lobe_count, layout.channels);
         let lobes = lobe_count * Lobe::stored_bytes(layout.channels);
         ((all - lobes) as u64, lobes as u64)
@@ -240,7 +243,8 @@ fn encode_leaf(
         };
         writer.push(&fields, layout);
     }
-    let mut bytes = Vec::new();
+    // Most surfels take less than these; the leaf's own fields take as much as a few.
+    let mut bytes = Vec::with_capacity(32 + 8 * surfels.len());
     writer.finish(frame, layout, &mut bytes);
     ChildContent::Leaf { surfels: bytes, count: surfels.len() as u32 }
 }
@@ -285,6 +289,7 @@ fn pack_group(group: &Group, layout: &SurfelLayout, packed: &mut PackedTreelets)
     // Offsets of child groups follow from the sizes of the treelets before them.
     let mut next_offset = packed.nodes.len() + (hot + lobes) as usize;
     let mut children: Vec<(ChildLink, ChildBox, &[Lobe])> = Vec::with_capacity(8);
+    let mut lobes_start = 0;
     for child in &group.children {
         let link = match &child.content {
             ChildContent::Leaf { surfels, count } => {
@@ -303,7 +308,9 @@ fn pack_group(group: &Group, layout: &SurfelLayout, packed: &mut PackedTreelets)
                 ChildLink::External(packed.links.len() as u32 - 1)
             }
         };
-        children.push((link, child.stored_box, &child.lobes));
+        let lobes = &group.lobes[lobes_start..child.lobes_end];
+        lobes_start = child.lobes_end;
+        children.push((link, child.stored_box, lobes));
     }
     let codecs = (layout.channels, layout.area, layout.radiance_scale);
     write_group(&group.fields, &children, codecs, &mut packed.nodes);

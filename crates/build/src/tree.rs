@@ -9,7 +9,7 @@ use crate::pack::{Group, PendingContent, PendingNode};
 use crate::pages::PageSink;
 use crate::reduce::LobeReducer;
 use pbgi_cloud::Surfel;
-use pbgi_format::{CHILDREN_MAX, SurfelLayout};
+use pbgi_format::{CHILDREN_MAX, LeafWriter, SurfelLayout};
 use pbgi_math::{MORTON_AXIS_BITS, MortonCode, RootCube, Vec3};
 use std::borrow::Cow;
 
@@ -47,6 +47,7 @@ pub(crate) struct TreeBuilder<S> {
     pub sink: S,
     pub counts: Counts,
     reducer: LobeReducer,
+    leaf_writer: LeafWriter,
 }
 
 /// Gives the next leaf of a list.
@@ -55,7 +56,13 @@ pub(crate) type NextLeaf<'f, 's> =
 
 impl<S: PageSink> TreeBuilder<S> {
     pub fn new(settings: TreeSettings, sink: S) -> Self {
-        Self { settings, sink, counts: Counts::default(), reducer: LobeReducer::default() }
+        Self {
+            settings,
+            sink,
+            counts: Counts::default(),
+            reducer: LobeReducer::default(),
+            leaf_writer: LeafWriter::default(),
+        }
     }
 
     /// Memory to reduce lobes in.
@@ -150,11 +157,11 @@ impl<S: PageSink> TreeBuilder<S> {
         split: Vec3,
         children: Vec<(u32, PendingNode<'s>)>,
     ) -> Result<PendingNode<'s>, BuildError> {
-        let Self { settings, sink, counts, reducer } = self;
+        let Self { settings, sink, counts, reducer, leaf_writer } = self;
         let layout = &settings.layout;
         let parts = children.iter().map(|(_, child)| &child.aggregate);
         let aggregate = NodeAggregate::from_children_with(reducer, parts);
-        let mut group = Group::new(split, &aggregate, children, layout);
+        let mut group = Group::new(split, &aggregate, children, layout, leaf_writer);
         let (leaves, nodes) = group.counts();
         let (hot_bytes, lobe_bytes) = group.own_bytes(layout);
         counts.add(&Counts { nodes, leaves, hot_bytes, lobe_bytes });
