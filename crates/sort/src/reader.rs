@@ -3,7 +3,7 @@
 use crate::{SortError, SurfelSummary};
 use crossbeam::channel::{Receiver, Sender, bounded};
 use pbgi_cloud::{Surfel, SurfelSource};
-use pbgi_math::Aabb;
+use pbgi_math::{Aabb, MortonCode, RootCube};
 
 /// Surfels handed over together, at least, but at the end.
 const CHUNK_SURFELS: usize = 1 << 13;
@@ -11,27 +11,42 @@ const CHUNK_SURFELS: usize = 1 << 13;
 /// Chunks that may wait, or come back for reuse.
 const CHUNKS_WAITING: usize = 4;
 
+/// Surfels that were read together.
+#[derive(Default)]
+pub(crate) struct Chunk {
+    pub surfels: Vec<Surfel>,
+    /// Their codes, where the root cube is known.
+    pub codes: Vec<MortonCode>,
+}
+
 /// Surfels checked and summed as they are read.
 pub(crate) struct Checked {
     pub summary: SurfelSummary,
-    bounds: Option<Aabb>,
+    /// Bounds the source states, and the root cube that follows from them.
+    place: Option<(Aabb, RootCube)>,
 }
 
 impl Checked {
-    /// Appends the next surfels of `source`; `false` when there are no more.
+    /// Reads the next surfels of `source`; `false` when there are no more.
     fn read(
         &mut self,
         source: &mut dyn SurfelSource,
-        out: &mut Vec<Surfel>,
+        chunk: &mut Chunk,
     ) -> Result<bool, SortError> {
+        let Chunk { surfels, codes } = chunk;
+        surfels.clear();
+        codes.clear();
         let mut more = true;
-        while more && out.len() < CHUNK_SURFELS {
-            let start = out.len();
-            more = source.read_chunk(out)?;
-            for surfel in &out[start..] {
+        while more && surfels.len() < CHUNK_SURFELS {
+            let start = surfels.len();
+            more = source.read_chunk(surfels)?;
+            for surfel in &surfels[start..] {
                 self.check(surfel)?;
                 self.summary.add(surfel);
             }
+        }
+        if let Some((_, root)) = &self.place {
+            codes.extend(surfels.iter().map(|surfel| root.code(surfel.center())));
         }
         Ok(more)
     }
@@ -48,35 +63,34 @@ impl Checked {
         {
             return bad("has a radius or area that is not above 0");
         }
-        match &self.bounds {
-            Some(bounds) if !bounds.contains(center) => bad("lies outside the stated bounds"),
+        match &self.place {
+            Some((bounds, _)) if !bounds.contains(center) => bad("lies outside the stated bounds"),
             _ => Ok(()),
         }
     }
 }
 
-/// Reads all of `source` and hands it on chunk by chunk, with two threads or more while the next chunk is read. `bounds` are those the
-/// source states. Returns the summary of all, its root cube not set.
+/// Reads all of `source` and hands it on chunk by chunk, with two threads or more while the next chunk is read. `place` is the bounds the
+/// source states and its root cube. Returns the summary of all, its root cube not set.
 pub(crate) fn with_chunks(
     source: &mut dyn SurfelSource,
-    bounds: Option<&Aabb>,
+    place: Option<(Aabb, RootCube)>,
     threads: usize,
-    take: &mut dyn FnMut(&[Surfel]) -> Result<(), SortError>,
+    take: &mut dyn FnMut(&Chunk) -> Result<(), SortError>,
 ) -> Result<Checked, SortError> {
     let summary = SurfelSummary::new(source.origin());
-    let mut checked = Checked { summary, bounds: bounds.copied() };
+    let mut checked = Checked { summary, place };
     if threads < 2 {
-        let mut chunk = Vec::new();
+        let mut chunk = Chunk::default();
         let mut more = true;
         while more {
-            chunk.clear();
             more = checked.read(source, &mut chunk)?;
             take(&chunk)?;
         }
         return Ok(checked);
     }
     std::thread::scope(|scope| {
-        let (full_sender, full) = bounded::<Vec<Surfel>>(CHUNKS_WAITING);
+        let (full_sender, full) = bounded::<Chunk>(CHUNKS_WAITING);
         let (empty_sender, empty) = bounded(CHUNKS_WAITING);
         let reader = std::thread::Builder::new()
             .name("read".to_owned())
@@ -93,12 +107,11 @@ pub(crate) fn with_chunks(
 fn read_all(
     mut checked: Checked,
     source: &mut dyn SurfelSource,
-    full: &Sender<Vec<Surfel>>,
-    empty: &Receiver<Vec<Surfel>>,
+    full: &Sender<Chunk>,
+    empty: &Receiver<Chunk>,
 ) -> Result<Checked, SortError> {
     loop {
         let mut chunk = empty.try_recv().unwrap_or_default();
-        chunk.clear();
         let more = checked.read(source, &mut chunk)?;
         // Nobody takes chunks any more where taking has failed.
         if full.send(chunk).is_err() || !more {
@@ -108,9 +121,9 @@ fn read_all(
 }
 
 fn take_all(
-    full: Receiver<Vec<Surfel>>,
-    empty: &Sender<Vec<Surfel>>,
-    take: &mut dyn FnMut(&[Surfel]) -> Result<(), SortError>,
+    full: Receiver<Chunk>,
+    empty: &Sender<Chunk>,
+    take: &mut dyn FnMut(&Chunk) -> Result<(), SortError>,
 ) -> Result<(), SortError> {
     for chunk in full {
         take(&chunk)?;

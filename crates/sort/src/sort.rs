@@ -5,7 +5,7 @@ use crate::checkpoint::Checkpoint;
 use crate::form::RecordForm;
 use crate::options::{Plan, SortOptions, SortPhase};
 use crate::pieces::{Content, DividedSurfels, PieceWalk};
-use crate::reader::{Checked, with_chunks};
+use crate::reader::{Checked, Chunk, with_chunks};
 use crate::runs::Runs;
 use crate::sorted::{SortedSurfels, Store};
 use crate::temp_file::{SURFEL_BYTES, SpooledSource, TempFile};
@@ -66,8 +66,8 @@ fn spool(
     let mut file = TempFile::create(&options.temp_dir)?;
     file.check_room(total.unwrap_or(0).saturating_mul(SURFEL_BYTES))?;
     let Checked { summary, .. } =
-        with_chunks(source, None, options.thread_count(), &mut |chunk: &[Surfel]| {
-            file.append(bytemuck::cast_slice(chunk))?;
+        with_chunks(source, None, options.thread_count(), &mut |chunk: &Chunk| {
+            file.append(bytemuck::cast_slice(&chunk.surfels))?;
             options.check(SortPhase::Bounds, file.len() / SURFEL_BYTES, total)
         })?;
     Ok((SpooledSource::new(file, origin), summary.bounds))
@@ -115,16 +115,13 @@ impl<'a> Sorter<'a> {
 
     fn sort(mut self, source: &mut dyn SurfelSource) -> Result<SortedSurfels, SortError> {
         let (root, threads) = (self.root, self.options.thread_count());
-        let mut codes = Vec::new();
-        let bounds = self.bounds;
+        let place = Some((self.bounds, root));
         let Checked { summary, .. } =
-            with_chunks(source, Some(&bounds), threads, &mut |chunk: &[Surfel]| {
+            with_chunks(source, place, threads, &mut |Chunk { surfels, codes }: &Chunk| {
                 self.chunk_form = RecordForm::none();
-                self.chunk_form.widen(chunk);
-                self.form.widen(chunk);
-                codes.clear();
-                codes.extend(chunk.iter().map(|surfel| root.code(surfel.center())));
-                for (surfel, code) in chunk.iter().zip(&codes) {
+                self.chunk_form.widen(surfels);
+                self.form.widen(surfels);
+                for (surfel, code) in surfels.iter().zip(codes) {
                     self.take(surfel, *code)?;
                 }
                 self.options.check(SortPhase::Read, self.done, self.total)
