@@ -7,7 +7,7 @@ use pbgi_math::{Aabb, Vec3};
 pub const CHILDREN_MAX: usize = 8;
 
 /// Bytes of a group before its links.
-pub const GROUP_FIXED_BYTES: usize = 44;
+pub const GROUP_FIXED_BYTES: usize = 34;
 
 const EXTERNAL: u32 = 1 << 31;
 const LEAF_COUNT_BITS: u32 = 8;
@@ -79,7 +79,7 @@ impl ChildBox {
 pub struct GroupFields {
     /// Tight box of all its surfels' area-true disks.
     pub bounds: Aabb,
-    /// Center of the octree cell: where its octants meet.
+    /// Center of the octree cell: where its octants meet. Stored to half a 255th of `bounds`, and not outside them.
     pub split: Vec3,
     /// How far covering disks reach out of the stored boxes of the children at most.
     pub cover_margin: f32,
@@ -109,7 +109,7 @@ pub fn write_group(
 ) {
     assert_eq!(children.len(), fields.octants.count_ones() as usize, "one child per octant");
     let start = out.len();
-    for v in [fields.bounds.min, fields.bounds.max, fields.split] {
+    for v in [fields.bounds.min, fields.bounds.max] {
         for c in v.to_array() {
             out.extend_from_slice(&c.to_le_bytes());
         }
@@ -117,7 +117,9 @@ pub fn write_group(
     out.extend_from_slice(&fields.cover_margin.to_le_bytes());
     let lobe_count: usize = children.iter().map(|c| c.2.len()).sum();
     assert!(lobe_count <= CHILDREN_MAX * crate::LOBES_MAX, "at most four lobes per child");
-    out.extend_from_slice(&[fields.octants, fields.leaves, lobe_count as u8, 0]);
+    out.extend_from_slice(&[fields.octants, fields.leaves, lobe_count as u8]);
+    let split = Aabb { min: fields.split, max: fields.split };
+    out.extend_from_slice(&ChildBox::around(&split, &fields.bounds).min);
     for (link, ..) in children {
         let code = match *link {
             ChildLink::Group(offset) => {
@@ -174,8 +176,8 @@ impl<'a> GroupView<'a> {
         if offset < crate::NODE_PAGE_HEADER_BYTES || offset + GROUP_FIXED_BYTES > groups_end {
             return Err(FormatError::new("group: offset", offset, "a place inside its page"));
         }
-        let child_count = page[offset + 40].count_ones() as usize;
-        let lobe_count = usize::from(page[offset + 42]);
+        let child_count = page[offset + 28].count_ones() as usize;
+        let lobe_count = usize::from(page[offset + 30]);
         let bytes = group_bytes(child_count, lobe_count, channels);
         if child_count == 0 || lobe_count < child_count || offset + bytes > groups_end {
             return Err(FormatError::new(
@@ -211,12 +213,14 @@ impl<'a> GroupView<'a> {
                 read_f32(self.bytes, at + 8),
             )
         };
+        let bounds = Aabb { min: v(0), max: v(12) };
+        let split = [self.bytes[31], self.bytes[32], self.bytes[33]];
         GroupFields {
-            bounds: Aabb { min: v(0), max: v(12) },
-            split: v(24),
-            cover_margin: read_f32(self.bytes, 36),
-            octants: self.bytes[40],
-            leaves: self.bytes[41],
+            bounds,
+            split: ChildBox { min: split, max: split }.decode(&bounds).min,
+            cover_margin: read_f32(self.bytes, 24),
+            octants: self.bytes[28],
+            leaves: self.bytes[29],
         }
     }
 
@@ -323,7 +327,10 @@ mod tests {
             let view = GroupView::new(&page, page.len(), 32, channels).unwrap();
             assert_eq!(view.stored_bytes(), page.len() - 32);
             assert_eq!(view.stored_bytes(), group_bytes(3, 4, channels));
-            assert_eq!(view.fields(), fields);
+            let stored = view.fields();
+            assert_eq!(GroupFields { split: fields.split, ..stored }, fields);
+            let slack = fields.bounds.extent() * (0.501 / 255.0);
+            assert!((stored.split - fields.split).abs().cmple(slack).all());
             for (i, child) in children.iter().enumerate() {
                 assert_eq!(view.link(i, i == 2), child.0);
                 let slack = fields.bounds.extent() * (0.501 / 255.0);
