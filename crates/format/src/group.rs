@@ -1,13 +1,13 @@
 //! Groups: an inner node with what is stored of its children.
 
-use crate::{Channels, FormatError, Lobe, MiniFloat, read_f32, read_u32};
+use crate::{Channels, FormatError, Lobe, MiniFloat, read_f32, read_u16, read_u32};
 use pbgi_math::{Aabb, Vec3};
 
 /// Most children of a group: the octants of its cell.
 pub const CHILDREN_MAX: usize = 8;
 
 /// Bytes of a group before its links.
-pub const GROUP_FIXED_BYTES: usize = 34;
+pub const GROUP_FIXED_BYTES: usize = 41;
 
 const EXTERNAL: u32 = 1 << 31;
 const LEAF_COUNT_BITS: u32 = 8;
@@ -79,9 +79,9 @@ impl ChildBox {
 pub struct GroupFields {
     /// Tight box of all its surfels' area-true disks.
     pub bounds: Aabb,
-    /// Center of the octree cell: where its octants meet. Stored to half a 255th of `bounds`, and not outside them.
+    /// Center of the octree cell: where its octants meet.
     pub split: Vec3,
-    /// How far covering disks reach out of the stored boxes of the children at most.
+    /// How far covering disks reach out of the stored boxes of the children at most. Stored as at most one part in 128 more.
     pub cover_margin: f32,
     /// Octants that have a child; children are stored in octant order.
     pub octants: u8,
@@ -109,17 +109,17 @@ pub fn write_group(
 ) {
     assert_eq!(children.len(), fields.octants.count_ones() as usize, "one child per octant");
     let start = out.len();
-    for v in [fields.bounds.min, fields.bounds.max] {
+    for v in [fields.bounds.min, fields.bounds.max, fields.split] {
         for c in v.to_array() {
             out.extend_from_slice(&c.to_le_bytes());
         }
     }
-    out.extend_from_slice(&fields.cover_margin.to_le_bytes());
+    // The upper half of a float, rounded up: no disk reaches farther.
+    let margin = fields.cover_margin.to_bits().div_ceil(1 << 16) as u16;
+    out.extend_from_slice(&margin.to_le_bytes());
     let lobe_count: usize = children.iter().map(|c| c.2.len()).sum();
     assert!(lobe_count <= CHILDREN_MAX * crate::LOBES_MAX, "at most four lobes per child");
     out.extend_from_slice(&[fields.octants, fields.leaves, lobe_count as u8]);
-    let split = Aabb { min: fields.split, max: fields.split };
-    out.extend_from_slice(&ChildBox::around(&split, &fields.bounds).min);
     for (link, ..) in children {
         let code = match *link {
             ChildLink::Group(offset) => {
@@ -176,8 +176,8 @@ impl<'a> GroupView<'a> {
         if offset < crate::NODE_PAGE_HEADER_BYTES || offset + GROUP_FIXED_BYTES > groups_end {
             return Err(FormatError::new("group: offset", offset, "a place inside its page"));
         }
-        let child_count = page[offset + 28].count_ones() as usize;
-        let lobe_count = usize::from(page[offset + 30]);
+        let child_count = page[offset + 38].count_ones() as usize;
+        let lobe_count = usize::from(page[offset + 40]);
         let bytes = group_bytes(child_count, lobe_count, channels);
         if child_count == 0 || lobe_count < child_count || offset + bytes > groups_end {
             return Err(FormatError::new(
@@ -213,14 +213,12 @@ impl<'a> GroupView<'a> {
                 read_f32(self.bytes, at + 8),
             )
         };
-        let bounds = Aabb { min: v(0), max: v(12) };
-        let split = [self.bytes[31], self.bytes[32], self.bytes[33]];
         GroupFields {
-            bounds,
-            split: ChildBox { min: split, max: split }.decode(&bounds).min,
-            cover_margin: read_f32(self.bytes, 24),
-            octants: self.bytes[28],
-            leaves: self.bytes[29],
+            bounds: Aabb { min: v(0), max: v(12) },
+            split: v(24),
+            cover_margin: f32::from_bits(u32::from(read_u16(self.bytes, 36)) << 16),
+            octants: self.bytes[38],
+            leaves: self.bytes[39],
         }
     }
 
@@ -328,9 +326,9 @@ mod tests {
             assert_eq!(view.stored_bytes(), page.len() - 32);
             assert_eq!(view.stored_bytes(), group_bytes(3, 4, channels));
             let stored = view.fields();
-            assert_eq!(GroupFields { split: fields.split, ..stored }, fields);
-            let slack = fields.bounds.extent() * (0.501 / 255.0);
-            assert!((stored.split - fields.split).abs().cmple(slack).all());
+            assert_eq!(GroupFields { cover_margin: fields.cover_margin, ..stored }, fields);
+            let more = stored.cover_margin / fields.cover_margin;
+            assert!((1.0..=1.0 + 1.0 / 128.0).contains(&more), "{more}");
             for (i, child) in children.iter().enumerate() {
                 assert_eq!(view.link(i, i == 2), child.0);
                 let slack = fields.bounds.extent() * (0.501 / 255.0);
