@@ -181,7 +181,7 @@ pub struct AnimationArgs {
     /// G-buffer, points, and those that are written.
     #[arg(long, value_name = "RANGE", value_parser = Frames::parse)]
     pub frames: Option<Frames>,
-    /// Turn of the environment from frame number to frame number
+    /// Turn of the environment per frame number: none at frame 0
     #[arg(
         long,
         value_name = "DEG",
@@ -190,7 +190,7 @@ pub struct AnimationArgs {
         allow_hyphen_values = true
     )]
     pub env_turn: f32,
-    /// Turn of --camera-position about the upward line through its target, from frame number to frame number
+    /// Turn of --camera-position about the upward line through its target, per frame number
     #[arg(long, value_name = "DEG", default_value_t = 0.0, requires_all = ["frames", "camera_position"],
           allow_hyphen_values = true, hide_short_help = true)]
     pub camera_turn: f64,

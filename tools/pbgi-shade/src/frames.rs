@@ -40,8 +40,8 @@ impl Frames {
 }
 
 /// The options of a frame: its number in place of every run of `#` in a file name, of as many digits at least; turns
-/// grow with the distance from the first frame.
-pub fn args_of(args: &ShadeArgs, frames: &Frames, number: u32) -> ShadeArgs {
+/// grow with it.
+pub fn args_of(args: &ShadeArgs, number: u32) -> ShadeArgs {
     let mut args = args.clone();
     let paths = [
         Some(&mut args.octree),
@@ -60,7 +60,8 @@ pub fn args_of(args: &ShadeArgs, frames: &Frames, number: u32) -> ShadeArgs {
     for name in args.view.scene.iter_mut().chain(&mut args.view.camera) {
         *name = numbered(name, number);
     }
-    let steps = f64::from(number - frames.range.start());
+    // Of the number alone, so that machines can share the frames.
+    let steps = f64::from(number);
     args.light.env_rotate += (f64::from(args.animation.env_turn) * steps) as f32;
     args.animation.camera_turned = args.animation.camera_turn * steps;
     args
@@ -148,12 +149,11 @@ mod tests {
             "--frames",
             "5-9x2",
         ]);
-        let frames = args.animation.frames.clone().unwrap();
-        let frame = args_of(&args, &frames, 9);
+        let frame = args_of(&args, 9);
         assert_eq!(frame.octree, Path::new("o.09.pbgi"));
         assert_eq!(frame.output, Path::new("f.09.exr"));
         assert_eq!(frame.light.env.as_deref(), Some(Path::new("e.9.exr")));
-        assert_eq!((frame.light.env_rotate, frame.animation.camera_turned), (4.0, 8.0));
+        assert_eq!((frame.light.env_rotate, frame.animation.camera_turned), (-3.5, 18.0));
         assert!(check(&args).is_ok());
         let same = ShadeArgs { output: "f.exr".into(), ..args };
         assert!(check(&same).unwrap_err().to_string().contains("####"));

@@ -30,7 +30,7 @@ fn shade(args: &ShadeArgs, cancel: &AtomicBool) -> Result<(), PbgiError> {
         if !args.common.quiet {
             eprintln!("frame {number}");
         }
-        shade_one(&frames::args_of(args, frames, number), &mut scenes, cancel)?;
+        shade_one(&frames::args_of(args, number), &mut scenes, cancel)?;
     }
     Ok(())
 }

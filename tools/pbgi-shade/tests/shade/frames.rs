@@ -183,10 +183,10 @@ fn frames_are_numbered_and_turn() {
     shade(&[&fixed[..], &light, &animation, &outputs].concat());
     let read = |name: &str| read_exr(&path(name)).unwrap().0;
     for (k, name) in ["f.008.exr", "f.010.exr", "f.012.exr"].into_iter().enumerate() {
-        let (sin, cos) = (f64::from(k as u32) * -10.0).to_radians().sin_cos();
+        let (sin, cos) = (f64::from(8 + 2 * k as u32) * -5.0).to_radians().sin_cos();
         let eye = format!("{},3,{}", 4.0 * cos + 6.0 * sin, -4.0 * sin + 6.0 * cos);
         let light = ["--env", text(&sky), "--camera-position", &eye];
-        let camera = ["--camera-target=0,0.5,0", "--env-rotate", &(30 * k).to_string()];
+        let camera = ["--camera-target=0,0.5,0", "--env-rotate", &(15 * (8 + 2 * k)).to_string()];
         let one = path("one.exr");
         shade(&[&fixed[..], &light, &camera, &["-o", text(&one)]].concat());
         let (frame, one) = (read(name), read("one.exr"));
