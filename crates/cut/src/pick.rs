@@ -216,7 +216,7 @@ pub fn mean_brightness(reader: &mut Reader<'_>) -> Result<f32, StoreError> {
     }
     let page = reader.pin_page(header.root_page)?;
     let invalid = |error| reader.invalid_page(header.root_page, error);
-    let view = NodePage::new(page.bytes()).map_err(invalid)?;
+    let view = NodePage::new(page.bytes(), header.root_page).map_err(invalid)?;
     let root = header.root_offset;
     let group = GroupView::new(view.bytes(), view.groups_end(), root, layout.channels);
     let group = group.map_err(invalid)?;
