@@ -4,17 +4,17 @@
 
 use anyhow::{Context, Result};
 use clap::Parser;
-use pbgi_build::{BuildOptions, SortedStream, StreamError, StreamSummary, build_octree};
-use pbgi_cloud::{ReceiverTable, SliceSource, Surfel, SurfelSource};
+use pbgi_benches::{bake, dice};
+use pbgi_cloud::{ReceiverTable, Surfel};
 use pbgi_image::compare;
 use pbgi_light::{Environment, EnvironmentOptions};
-use pbgi_math::MortonCode;
-use pbgi_scene::{DiceOptions, DicedScene, Spacing, TwoSided, read_scene};
+use pbgi_math::Vec3;
+use pbgi_scene::read_scene;
 use pbgi_schedule::{
-    GatherSettings, PreparedLight, Receiver, ShadeOptions, ShadeReport, Shading, shade_receivers,
+    GatherParts, GatherSettings, Gloss, ImportanceTerms, Material, PreparedLight, Receiver,
+    ShadeOptions, ShadeReport, Shading, shade_receivers,
 };
-use pbgi_sort::{SortOptions, SortedSurfels, sort_surfels};
-use pbgi_store::{Octree, OpenOptions};
+use pbgi_store::Octree;
 use std::f32::consts::PI;
 use std::path::{Path, PathBuf};
 
@@ -33,6 +33,12 @@ struct Arguments {
     /// Texels along a face of the raster.
     #[arg(long, default_value_t = GatherSettings::default().raster_edge)]
     raster: usize,
+    /// Directions of a reflection: 16 · 4^LEVEL.
+    #[arg(long, default_value_t = GatherSettings::default().lobe_level)]
+    lobe_level: u32,
+    /// Terms of importance: env,lobe,cosine,radiance,quality, or all or off.
+    #[arg(long, default_value_t = ImportanceTerms::ALL)]
+    importance: ImportanceTerms,
     /// Shade every n-th receiver.
     #[arg(long, default_value_t = 10)]
     every: usize,
@@ -41,31 +47,8 @@ struct Arguments {
     scenes: Vec<String>,
 }
 
-struct Stream(SortedSurfels);
-
-impl SortedStream for Stream {
-    fn read_chunk(&mut self, out: &mut Vec<(MortonCode, Surfel)>) -> Result<bool, StreamError> {
-        Ok(self.0.read_chunk(out)?)
-    }
-}
-
-fn bake(surfels: &[Surfel], path: &Path) -> Result<Octree> {
-    let sorted = sort_surfels(&mut SliceSource::new(surfels), &SortOptions::default())?;
-    let facts = *sorted.summary();
-    let summary = StreamSummary {
-        root: facts.root,
-        origin: facts.origin,
-        surfel_count: facts.count,
-        radius_max: facts.radius_max,
-        area_max: facts.area_max,
-        radiance_max: facts.radiance_max,
-        any_albedo: facts.any_albedo,
-        any_isotropic: facts.any_isotropic,
-        z_up: false,
-    };
-    build_octree(&mut Stream(sorted), &summary, &BuildOptions::default(), path)?;
-    Ok(Octree::open(path, &OpenOptions { cache_bytes: 1 << 30, ..OpenOptions::default() })?)
-}
+/// Where the references of embers are seen from.
+const EMBERS_EYE: Vec3 = Vec3::new(0.25, 1.35, 6.2);
 
 struct Bench<'a> {
     folder: &'a Path,
@@ -119,9 +102,36 @@ impl Bench<'_> {
         self.report(what, &found, &self.rgb(&format!("ref_{what}"))?, &run)
     }
 
+    /// Reflections in the ground toward the camera, without a Fresnel term; the references name the width α of the slopes.
+    fn gloss(&self, octree: &Octree) -> Result<()> {
+        let path = self.folder.join(format!("{}_ground_receivers.ply", self.name));
+        let table = ReceiverTable::read(&path)?;
+        for (column, alpha) in [("ref_glossy03", 0.3f32), ("ref_glossy01", 0.1)] {
+            let material = Material {
+                base_color: [1.0; 3],
+                metalness: 1.0,
+                roughness: alpha.sqrt(),
+                ..Material::default()
+            };
+            let places = table.positions.iter().zip(&table.normals).step_by(self.every);
+            let receiver = |(position, normal): (&Vec3, &Vec3)| {
+                let toward_eye = (EMBERS_EYE - *position).normalize();
+                let gloss = Some(Gloss { material, toward_eye });
+                Receiver { position: *position, normal: *normal, gloss }
+            };
+            let settings = GatherSettings { parts: GatherParts::Sharp, ..self.settings };
+            let receivers = places.map(receiver).collect();
+            let bench = Bench { table: table.clone(), receivers, settings, ..*self };
+            let (shadings, run) = bench.shade(octree, None)?;
+            let found: Vec<f32> = shadings.iter().flat_map(|s| s.reflected).collect();
+            self.report(&column[4..], &found, &bench.rgb(column)?, &run)?;
+        }
+        Ok(())
+    }
+
     /// One bounce: surfels lit by the emitter, which itself counts as black.
     fn relight(&self, octree: &Octree, surfels: &[Surfel]) -> Result<Vec<Surfel>> {
-        let places = surfels.iter().map(|s| Receiver { position: s.center(), normal: s.normal() });
+        let places = surfels.iter().map(|s| Receiver::diffuse(s.center(), s.normal()));
         let places: Vec<Receiver> = places.collect();
         let options = ShadeOptions { gather: self.settings, threads: 2, ..ShadeOptions::default() };
         let (lit, _) = shade_receivers(octree, None, &places, &options)?;
@@ -148,7 +158,10 @@ impl Bench<'_> {
                 let light = PreparedLight::new(&environment, self.settings.raster_edge);
                 self.irradiance(sky, octree, Some(&light))
             }),
-            "embers" => self.irradiance("irradiance", octree, None),
+            "embers" => {
+                self.irradiance("irradiance", octree, None)?;
+                self.gloss(octree)
+            }
             _ => {
                 let (shadings, run) = self.shade(octree, None)?;
                 let found: Vec<f32> = shadings.iter().map(|s| s.ambient_occlusion).collect();
@@ -167,6 +180,8 @@ fn main() -> Result<()> {
     let settings = GatherSettings {
         solid_angle_sr: arguments.solid_angle,
         raster_edge: arguments.raster,
+        lobe_level: arguments.lobe_level,
+        importance: arguments.importance,
         ..GatherSettings::default()
     };
     let temporary = tempfile::tempdir()?;
@@ -175,14 +190,10 @@ fn main() -> Result<()> {
     );
     for name in &arguments.scenes {
         let scene = read_scene(&arguments.data.join(format!("{name}.glb")))?;
-        let spacing = Spacing::Count(arguments.surfels);
-        let options = DiceOptions { spacing, two_sided: TwoSided::Material };
-        let mut surfels = Vec::new();
-        let mut source = DicedScene::new(&scene, options)?;
-        while source.read_chunk(&mut surfels)? {}
+        let surfels = dice(&scene, arguments.surfels)?;
         let table = ReceiverTable::read(&arguments.data.join(format!("{name}_receivers.ply")))?;
         let places = table.positions.iter().zip(&table.normals).step_by(arguments.every);
-        let receivers = places.map(|(p, n)| Receiver { position: *p, normal: *n }).collect();
+        let receivers = places.map(|(p, n)| Receiver::diffuse(*p, *n)).collect();
         let every = arguments.every;
         let bench = Bench { folder: &arguments.data, name, table, receivers, settings, every };
         let path = temporary.path().join("scene.pbgi");

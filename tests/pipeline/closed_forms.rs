@@ -27,7 +27,7 @@ fn closed_room_errors(form: SurfelForm, solid_angle_sr: f32) -> (f32, f32) {
     for (i, normal) in sphere_directions(400).enumerate() {
         let f = |k: usize| ((i * k) % 37) as f32 / 37.0 * 1.8 - 0.9;
         let position = half * Vec3::new(f(5), f(11), f(17));
-        let found = gather(&octree, &settings, Receiver { position, normal });
+        let found = gather(&octree, &settings, Receiver::diffuse(position, normal));
         let error = found.surface_irradiance[0] / (2.0 * PI) - 1.0;
         squares += error * error / 400.0;
         worst = worst.max(error.abs()).max(found.ambient_occlusion);
@@ -67,7 +67,7 @@ fn receivers_on_the_walls_of_a_closed_room_see_all_of_it() {
             // Not at the surfels' centers only.
             let slide = surfel.normal().any_orthonormal_vector() * 0.3 * surfel.radius;
             let offset = if i % 2 == 0 { Vec3::ZERO } else { slide };
-            let receiver = Receiver { position: surfel.center() + offset, normal: surfel.normal() };
+            let receiver = Receiver::diffuse(surfel.center() + offset, surfel.normal());
             let found = gather(&octree, &settings, receiver);
             let relative = found.surface_irradiance[0] / PI;
             assert!((relative - 1.0).abs() < 0.05, "{solid_angle_sr} {receiver:?}: {relative}");
@@ -85,7 +85,7 @@ fn a_zero_threshold_matches_rays_against_all_disks() {
     let (mut open_error, mut light_error) = (0.0, 0.0);
     for (i, normal) in sphere_directions(12).enumerate() {
         let position = normal * (0.2 + 0.15 * i as f32);
-        let found = gather(&octree, &settings, Receiver { position, normal: -normal });
+        let found = gather(&octree, &settings, Receiver::diffuse(position, -normal));
         // Surfels that know no rectangle are drawn as disks: solid ones cover a square lattice, sheets nearly.
         let drawn = |s: &Surfel| {
             let reserve = if s.is_front_only() { 1.1 } else { 1.25 };
@@ -108,7 +108,7 @@ fn error_falls_with_the_threshold() {
     let error = |solid_angle_sr: f32| {
         let mut sum = 0.0;
         for normal in sphere_directions(30) {
-            let receiver = Receiver { position: normal * 1.4, normal: -normal };
+            let receiver = Receiver::diffuse(normal * 1.4, -normal);
             let at = |s: f32| {
                 let settings = GatherSettings { solid_angle_sr: s, ..GatherSettings::default() };
                 gather(&octree, &settings, receiver)
@@ -139,7 +139,7 @@ fn a_ledge_of_rectangles_has_the_form_factor_of_a_rectangle() {
         let (_folder, octree) = bake_and_open(surfels, &BuildOptions::default());
         let settings =
             GatherSettings { solid_angle_sr: 0.0, raster_edge: 64, ..GatherSettings::default() };
-        let receiver = Receiver { position: normal * 0.2, normal: -normal };
+        let receiver = Receiver::diffuse(normal * 0.2, -normal);
         1.0 - gather(&octree, &settings, receiver).ambient_occlusion
     };
     // Half edges over the distance of 0.2; four quarters.

@@ -4,5 +4,6 @@
 mod closed_forms;
 mod format_document;
 mod octree_file;
+mod reflections;
 mod support;
 mod walk;

@@ -4,5 +4,9 @@
 #![forbid(unsafe_code)]
 
 mod diffuse;
+mod ggx;
+mod material;
 
 pub use diffuse::{ConvolutionTable, Diffuse, EnvironmentTexels, convolve_diffuse};
+pub use ggx::{GgxLobe, LobeDirections, LobePattern};
+pub use material::Material;

@@ -9,5 +9,7 @@ mod metric;
 mod pick;
 
 pub use cluster::{Cluster, Piece};
-pub use metric::{CosineThreshold, NodeSeen, Threshold, UniformThreshold};
-pub use pick::{CutReceiver, CutScratch, CutStats, CutVisitor, SurfelSeen, pick_cut};
+pub use metric::{NodeSeen, Threshold, UniformThreshold};
+pub use pick::{
+    CutReceiver, CutScratch, CutStats, CutVisitor, SurfelSeen, mean_brightness, pick_cut,
+};

@@ -3,7 +3,7 @@
 use crate::cluster::Cluster;
 use crate::metric::{NodeSeen, Threshold};
 use pbgi_format::{
-    CHILDREN_MAX, ChildLink, FormatError, GroupView, LeafSurfel, Lobe, NodePage, PageId,
+    CHILDREN_MAX, Channels, ChildLink, FormatError, GroupView, LeafSurfel, Lobe, NodePage, PageId,
     SurfelLayout, SurfelPage,
 };
 use pbgi_math::{Aabb, Vec3};
@@ -203,6 +203,36 @@ pub fn pick_cut<V: CutVisitor, T: Threshold>(
     Ok(())
 }
 
+/// Mean radiance of all surfaces of a file, of the brightest channel, weighted by area; W·m⁻²·sr⁻¹. 0 for files without light.
+///
+/// # Errors
+///
+/// If the root's page cannot be read or contradicts itself.
+pub fn mean_brightness(reader: &mut Reader<'_>) -> Result<f32, StoreError> {
+    let octree = reader.octree();
+    let (header, layout) = (octree.header(), octree.layout());
+    if layout.channels != Channels::Rgb {
+        return Ok(0.0);
+    }
+    let page = reader.pin_page(header.root_page)?;
+    let invalid = |error| reader.invalid_page(header.root_page, error);
+    let view = NodePage::new(page.bytes(), header.root_page).map_err(invalid)?;
+    let root = header.root_offset;
+    let group = GroupView::new(view.bytes(), view.groups_end(), root, layout.channels);
+    let group = group.map_err(invalid)?;
+    let (mut light, mut area) = (0.0, 0.0);
+    for index in 0..group.child_count() {
+        let lobes = group.lobe_bytes(index, layout.channels);
+        for stored in lobes.chunks_exact(Lobe::stored_bytes(layout.channels)) {
+            let lobe = Lobe::read(stored, layout.channels, layout.area, layout.radiance_scale);
+            let size = lobe.vector.length() + lobe.width;
+            light += size * lobe.radiance.into_iter().fold(0.0, f32::max);
+            area += size;
+        }
+    }
+    Ok(if area > 0.0 { light / area } else { 0.0 })
+}
+
 /// A number that tells nodes apart.
 #[inline(always)]
 fn node_seed(page: PageId, offset: u32, octant: u8) -> u32 {
@@ -255,10 +285,20 @@ fn open_frame<T: Threshold>(
         }
     }
     let mut planes = 0u32;
-    for index in 0..group.child_count() {
-        let lobes = group.lobe_bytes(index, layout.channels);
-        let is_one = lobes.len() == Lobe::stored_bytes(layout.channels);
-        planes |= u32::from(is_one && Lobe::is_filled_plane(lobes)) << index;
+    let mut brightness = [0f32; CHILDREN_MAX];
+    let asks_brightness = T::ASKS_BRIGHTNESS && layout.channels == Channels::Rgb;
+    if T::ASKS_PLANES || asks_brightness {
+        let stride = Lobe::stored_bytes(layout.channels);
+        for index in 0..group.child_count() {
+            let lobes = group.lobe_bytes(index, layout.channels);
+            planes |= u32::from(lobes.len() == stride && Lobe::is_filled_plane(lobes)) << index;
+            if asks_brightness {
+                for lobe in lobes.chunks_exact(stride) {
+                    brightness[index] = brightness[index].max(Lobe::stored_brightness(lobe));
+                }
+                brightness[index] *= layout.radiance_scale;
+            }
+        }
     }
     let (mut below, mut large) = (0u32, 0u32);
     for lane in 0..CHILDREN_MAX {
@@ -272,6 +312,7 @@ fn open_frame<T: Threshold>(
             distance2: distance2[lane],
             radius2: radius2[lane],
             is_plane: planes >> lane & 1 != 0,
+            brightness: brightness[lane],
         };
         let limit = threshold.sin2_max(&seen) * distance2[lane];
         below |= u32::from(top[lane] <= receiver.bias) << lane;

@@ -63,6 +63,13 @@ impl Lobe {
         stored[6] <= PLANE_WIDTH_CODE && stored[7] >= FILLED_CODE
     }
 
+    /// Radiance of the brightest channel of a stored lobe of three channels, divided by the file's radiance scale.
+    #[must_use]
+    #[inline(always)]
+    pub fn stored_brightness(stored: &[u8]) -> f32 {
+        SharedExponent(read_u32(stored, 8)).largest()
+    }
+
     /// Bytes of a stored lobe.
     #[must_use]
     #[inline(always)]

@@ -189,6 +189,11 @@ impl Environment {
         base::resample(&self.grid, &self.pixels, &self.residual, n)
     }
 
+    /// Columns of the image.
+    pub(crate) fn width(&self) -> usize {
+        self.grid.width
+    }
+
     /// The small bright lights that are not in the base, strongest first.
     #[must_use]
     pub fn peaks(&self) -> &[EnvironmentPeak] {

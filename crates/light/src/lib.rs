@@ -10,6 +10,7 @@ mod environment;
 mod extract;
 mod lat_long;
 mod peak;
+mod pyramid;
 mod sky;
 #[cfg(test)]
 mod test_images;
@@ -17,4 +18,5 @@ mod window;
 
 pub use environment::{Environment, EnvironmentError, EnvironmentOptions, UpAxis};
 pub use peak::EnvironmentPeak;
+pub use pyramid::EnvironmentPyramid;
 pub use sky::{SkyParameters, synthetic_sky};

@@ -36,6 +36,15 @@ impl SharedExponent {
         )
     }
 
+    /// The largest channel.
+    #[must_use]
+    #[inline]
+    pub fn largest(self) -> f32 {
+        let channel = |shift: u32| (self.0 >> shift) & 511;
+        let mantissa = channel(0).max(channel(9)).max(channel(18));
+        mantissa as f32 * f32::from_bits(((self.0 >> 27) + 127 - 24) << 23)
+    }
+
     /// The color; finite and non-negative for every bit pattern.
     #[must_use]
     #[inline]

@@ -2,6 +2,7 @@
 
 use pbgi_math::Vec3;
 use pbgi_scene::{Coverage, Micropolygon};
+use pbgi_schedule::Material;
 
 /// A visible piece of surface: a micropolygon or a surfel. Positions are relative to the frame's
 /// origin.
@@ -14,6 +15,7 @@ pub(crate) struct Piece {
     pub plane: Vec3,
     pub radius: f32,
     pub albedo: [f32; 3],
+    pub material: Material,
     pub emission: [f32; 3],
     /// Whether it is the back of a single-sided surface.
     pub is_back: bool,
@@ -27,6 +29,12 @@ impl From<&Micropolygon> for Piece {
             plane: m.geometric_normal,
             radius: m.radius,
             albedo: m.albedo,
+            material: Material {
+                base_color: m.base_color,
+                metalness: m.metalness,
+                roughness: m.roughness,
+                specular: m.specular,
+            },
             emission: m.emission,
             is_back: m.back,
         }

@@ -103,9 +103,11 @@ pub struct CheckReport {
     pub seconds: f64,
     /// Where receivers share gathers: the error if each of the sample gathers for itself.
     pub alone: Option<AloneReport>,
+    /// Error of glossy reflections, if there are any.
+    pub gloss: Option<AloneReport>,
 }
 
-/// Error of gathers that are not shared: what the cut alone costs.
+/// Error of a part of the result: of gathers that are not shared, or of glossy reflections.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct AloneReport {
     /// Relative root mean square error; 0.01 is one percent.
@@ -126,6 +128,17 @@ impl AloneReport {
         let (ErrorMetrics { rrmse, bias, p99, .. }, _) = measure(alone.iter(), references)?;
         Ok(Self { rrmse, bias, p99 })
     }
+
+    /// Compares what is reflected glossily; none where nothing is.
+    fn of_gloss<'a>(
+        results: impl Iterator<Item = &'a Shading>,
+        references: &[Shading],
+    ) -> Option<Self> {
+        let results: Vec<f32> = results.flat_map(|s| s.reflected).collect();
+        let truths: Vec<f32> = references.iter().flat_map(|s| s.reflected).collect();
+        let ErrorMetrics { rrmse, bias, p99, .. } = compare(&results, &truths).ok()?;
+        Some(Self { rrmse, bias, p99 })
+    }
 }
 
 /// Error of results, and whether it is that of irradiance: of all channels where anything shines, of ambient
@@ -142,6 +155,13 @@ fn measure<'a>(
     let results: Vec<f32> = results.flat_map(values).collect();
     let truths: Vec<f32> = references.iter().flat_map(values).collect();
     Ok((compare(&results, &truths)?, lit))
+}
+
+/// Relative root mean square error of a sample: the larger of that of irradiance, or ambient occlusion where there is no light, and that of gloss.
+pub(crate) fn sample_error(results: &[Shading], references: &[Shading]) -> f64 {
+    let light = measure(results.iter(), references).map_or(0.0, |(metrics, _)| metrics.rrmse);
+    let gloss = AloneReport::of_gloss(results.iter(), references).map_or(0.0, |g| g.rrmse);
+    light.max(gloss)
 }
 
 impl CheckReport {
@@ -166,6 +186,7 @@ impl CheckReport {
             cut_mean: cuts / references.len().max(1) as f64,
             seconds: 0.0,
             alone: None,
+            gloss: AloneReport::of_gloss(sample.iter().map(|s| &s.shading), references),
         })
     }
 }

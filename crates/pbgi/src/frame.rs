@@ -9,6 +9,7 @@ use crate::output::FrameImage;
 use crate::progress::Phase;
 use crate::shade::{Session, ShadeReport, read_header, up_axis};
 use crate::splat::hide_surfels;
+use crate::target::spread;
 use crate::{PbgiError, Progress};
 use pbgi_format::Header;
 use pbgi_image::{
@@ -130,6 +131,9 @@ const AROUND_ROWS: u32 = 2 * SHARE_PIXELS_MAX;
 /// Largest edge of the blocks in which gathers are shared.
 const SHARE_PIXELS_MAX: u32 = 64;
 
+/// Pixels along the longer edge of the picture whose receivers are measured to choose settings.
+const CALIBRATION_EDGE: u32 = 160;
+
 /// Rows of a tile of hiding: bands of whole tiles shade nothing twice.
 const TILE_ROWS: u32 = 64;
 
@@ -178,7 +182,10 @@ impl<'a> FrameJob<'a> {
         let mut image = FrameImage::new(self.request);
         let bands = self.request.height.div_ceil(self.band_rows);
         let mut seen = Seen::default();
-        progress.set_phase_count(2 * bands + u32::from(self.request.settings.check_receivers > 0));
+        let extra = u32::from(self.request.settings.check_receivers > 0)
+            + u32::from(self.session.wants_calibration());
+        progress.set_phase_count(2 * bands + extra);
+        self.calibrate(progress)?;
         for band in 0..bands {
             if self.cancel.load(Ordering::Relaxed) {
                 return Err(PbgiError::Interrupted);
@@ -204,6 +211,31 @@ impl<'a> FrameJob<'a> {
         }
         self.judge(&seen)?;
         self.finish(image, progress)
+    }
+
+    /// Chooses the solid angle for the error that was asked for, by what a small picture of the whole shows: bands do not change it.
+    fn calibrate(&mut self, progress: &Progress) -> Result<(), PbgiError> {
+        if !self.session.wants_calibration() {
+            return Ok(());
+        }
+        let scale =
+            (CALIBRATION_EDGE as f32 / self.view.width.max(self.view.height) as f32).min(1.0);
+        let small = |edge: u32| ((edge as f32 * scale) as u32).max(1);
+        let (width, height) = (small(self.view.width), small(self.view.height));
+        let view = CameraView { width, height, ..self.view.clone() };
+        let options = HideOptions { samples: 1, shading_rate: 1.0, window: None };
+        let pieces: Vec<Piece> = match self.request.scene {
+            Some(scene) => {
+                hide(scene, &view, &options)?.micropolygons.iter().map(Piece::from).collect()
+            }
+            None => {
+                let (octree, up) = (&self.session.octree, self.session.up());
+                hide_surfels(octree, &view, &options, up, self.cancel)?.pieces
+            }
+        };
+        let sample: Vec<Receiver> =
+            spread(pieces.len()).map(|i| self.receiver_of(&pieces[i])).collect();
+        self.session.calibrate(&sample, progress)
     }
 
     fn hide(&self, window: PixelWindow) -> Result<Band, PbgiError> {
@@ -239,10 +271,16 @@ impl<'a> FrameJob<'a> {
         Ok(Some(Cow::Owned(self.hide(PixelWindow { y, height: end - y, ..window })?.pieces)))
     }
 
-    /// The receiver at a place of the frame, in the octree's coordinates.
+    /// The receiver of diffuse light at a place of the frame, in the octree's coordinates.
     fn receiver(&self, position: Vec3, normal: Vec3) -> Receiver {
         let shift = self.origin - self.header.origin;
-        Receiver { position: (position.as_dvec3() + shift).as_vec3(), normal }
+        Receiver::diffuse((position.as_dvec3() + shift).as_vec3(), normal)
+    }
+
+    /// The receiver of a piece, with what it reflects toward the camera.
+    fn receiver_of(&self, piece: &Piece) -> Receiver {
+        let gloss = self.session.gloss(piece.material, piece.position, self.view.eye());
+        Receiver { gloss, ..self.receiver(piece.position, piece.normal) }
     }
 
     /// Shades the pieces of a band, which share gathers with those visible around them.
@@ -261,10 +299,9 @@ impl<'a> FrameJob<'a> {
         let broad_share = |done: u64| done * total * 3 / (4 * leaders.len().max(1) as u64);
         let advance = |done: u64| phase.set_done(broad_share(done));
         let broad = self.session.gather(&leaders, GatherParts::Broad, &advance)?;
-        let receivers: Vec<Receiver> =
-            band.pieces.iter().map(|p| self.receiver(p.position, p.normal)).collect();
+        let receivers: Vec<Receiver> = band.pieces.iter().map(|p| self.receiver_of(p)).collect();
         let advance = |done: u64| phase.set_done(total * 3 / 4 + done / 4);
-        let mut shadings = self.session.gather(&receivers, GatherParts::Peaks, &advance)?;
+        let mut shadings = self.session.gather(&receivers, GatherParts::Sharp, &advance)?;
         let means: Vec<Option<Shading>> =
             band.pieces.iter().map(|p| groups.interpolate(p, &broad, &places)).collect();
         let alone: Vec<Receiver> = (receivers.iter().zip(&means))
@@ -279,6 +316,7 @@ impl<'a> FrameJob<'a> {
             {
                 *sum += peak;
             }
+            (broad.reflected, broad.gloss_albedo) = (shading.reflected, shading.gloss_albedo);
             *shading = broad;
         }
         self.session.count(&receivers, None, &shadings);
@@ -291,7 +329,7 @@ impl<'a> FrameJob<'a> {
         band: &Band,
         advance: &(dyn Fn(u64) + Sync),
     ) -> Result<Vec<Shading>, PbgiError> {
-        let receiver = |piece: &Piece| self.receiver(piece.position, piece.normal);
+        let receiver = |piece: &Piece| self.receiver_of(piece);
         if band.ids.is_empty() {
             let receivers: Vec<Receiver> = band.pieces.iter().map(receiver).collect();
             return self.session.shade(&receivers, None, advance);
@@ -379,7 +417,11 @@ fn frame_bytes(request: &FrameRequest<'_>) -> (u64, u64) {
     let kept = if request.scene.is_none() { 2 * (8 + size_of::<Shading>() as u64) } else { 0 };
     let image = pixels * (crate::output::channel_count(&request.aovs) as u64 * 4 + 16 + kept);
     // A piece, its receiver and its result, with what hiding holds while it makes them.
-    let piece = (size_of::<Piece>() + size_of::<Micropolygon>() + size_of::<Shading>() + 40) as f64;
+    let piece = (size_of::<Piece>()
+        + size_of::<Micropolygon>()
+        + size_of::<Shading>()
+        + size_of::<Receiver>()
+        + 16) as f64;
     let pieces_per_pixel = match request.scene {
         Some(_) => 0.7 + 1.0 / f64::from(request.shading_rate.clamp(1e-3, 1e3)),
         None => 1.0,

@@ -35,10 +35,11 @@ pub struct FrameRequest<'a> {
     pub settings: ShadeSettings,
 }
 
-/// The quantities a frame can have.
-pub const FRAME_AOVS: [Aov; 10] = [
+/// The quantities a frame can have. [`Aov::SpecularIndirect`] is 0 without [`ShadeSettings::gloss`].
+pub const FRAME_AOVS: [Aov; 11] = [
     Aov::Beauty,
     Aov::DiffuseIndirect,
+    Aov::SpecularIndirect,
     Aov::Irradiance,
     Aov::Occlusion,
     Aov::SkyVisibility,

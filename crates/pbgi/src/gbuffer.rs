@@ -6,8 +6,9 @@ use crate::gbuffer_surfaces::{GBuffer, GBufferSpace};
 use crate::memory_split::MemorySplit;
 use crate::output::{channel_count, settings_attributes};
 use crate::shade::{CHUNK_RECEIVERS, Session, ShadeSettings, read_header, up_axis};
+use crate::table_receivers::TableReceivers;
+use crate::target::spread;
 use crate::{PbgiError, Progress};
-use pbgi_cloud::ReceiverTable;
 use pbgi_format::Header;
 use pbgi_image::{Aov, AovNames, AttributeValue, Image, LAYOUT_ATTRIBUTES, StoredChannel};
 use pbgi_math::DVec3;
@@ -39,9 +40,10 @@ pub struct GBufferRequest<'a> {
 }
 
 /// The quantities a shaded G-buffer can have. What it brings itself passes through on request.
-pub const GBUFFER_AOVS: [Aov; 6] = [
+pub const GBUFFER_AOVS: [Aov; 7] = [
     Aov::Beauty,
     Aov::DiffuseIndirect,
+    Aov::SpecularIndirect,
     Aov::Irradiance,
     Aov::Occlusion,
     Aov::SkyVisibility,
@@ -87,8 +89,17 @@ pub fn shade_gbuffer(
     let split =
         MemorySplit::measure(settings.memory_bytes, settings.threads).grant(bytes, bytes)?;
     let mut session = Session::open(request.octree, settings, environment, split, 0, cancel)?;
-    progress.set_phase_count(1 + u32::from(settings.check_receivers > 0));
-    let image = shade_pixels(&mut session, &gbuffer, request, progress)?;
+    let has_gloss = settings.gloss.is_some();
+    let rows = TableReceivers::new(&gbuffer.surfaces, header.origin, None, has_gloss)?;
+    let extra =
+        u32::from(settings.check_receivers > 0) + u32::from(settings.target_error.is_some());
+    progress.set_phase_count(1 + extra);
+    if session.wants_calibration() {
+        let sample: Vec<Receiver> =
+            spread(gbuffer.surfaces.len()).map(|row| rows.receiver(&session, row)).collect();
+        session.calibrate(&sample, progress)?;
+    }
+    let image = shade_pixels(&mut session, &gbuffer, &rows, request, progress)?;
     let is_lit = session.is_lit();
     warn_of(&gbuffer, &request.aovs, &mut session.warnings);
     let mut report = session.finish(progress)?;
@@ -138,6 +149,7 @@ fn result_bytes(gbuffer: &GBuffer, aovs: &[Aov]) -> u64 {
 fn shade_pixels(
     session: &mut Session<'_>,
     gbuffer: &GBuffer,
+    rows: &TableReceivers<'_>,
     request: &GBufferRequest<'_>,
     progress: &Progress,
 ) -> Result<PixelImage, PbgiError> {
@@ -147,7 +159,7 @@ fn shade_pixels(
     let phase = progress.start_phase("shade", "receivers", Some(surfaces.len() as u64));
     for first in (0..surfaces.len()).step_by(CHUNK_RECEIVERS) {
         let chunk = first..(first + CHUNK_RECEIVERS).min(surfaces.len());
-        let receivers: Vec<Receiver> = chunk.clone().map(|i| receiver(surfaces, i)).collect();
+        let receivers: Vec<Receiver> = chunk.clone().map(|i| rows.receiver(session, i)).collect();
         let shadings =
             session.shade(&receivers, None, &|done| phase.set_done(first as u64 + done))?;
         for (index, shading) in chunk.zip(&shadings) {
@@ -157,11 +169,6 @@ fn shade_pixels(
         }
     }
     Ok(image)
-}
-
-/// Surfaces are relative to the octree's origin.
-fn receiver(surfaces: &ReceiverTable, index: usize) -> Receiver {
-    Receiver { position: surfaces.positions[index], normal: surfaces.normals[index] }
 }
 
 /// What the user should know of a G-buffer.
@@ -248,11 +255,15 @@ impl PixelImage {
     /// Sets a pixel. Reflected radiance of a Lambertian surface is `albedo/π · E`.
     fn set(&mut self, pixel: usize, alpha: f32, albedo: [f32; 3], shading: &Shading) {
         let irradiance = shading.irradiance();
-        let [r, g, b] = [0, 1, 2].map(|c| albedo[c] * FRAC_1_PI * irradiance[c]);
+        let through = shading.gloss_albedo.map(|gloss| 1.0 - gloss);
+        let diffuse = [0, 1, 2].map(|c| through[c] * albedo[c] * FRAC_1_PI * irradiance[c]);
+        let gloss = shading.reflected;
+        let [r, g, b] = [0, 1, 2].map(|c| diffuse[c] + gloss[c]);
         for (aov, first) in &self.planes {
             let (values, count) = match aov {
                 Aov::Beauty => ([r, g, b, alpha], 4),
-                Aov::DiffuseIndirect => ([r, g, b, 0.0], 3),
+                Aov::DiffuseIndirect => ([diffuse[0], diffuse[1], diffuse[2], 0.0], 3),
+                Aov::SpecularIndirect => ([gloss[0], gloss[1], gloss[2], 0.0], 3),
                 Aov::Irradiance => ([irradiance[0], irradiance[1], irradiance[2], 0.0], 3),
                 Aov::Occlusion => ([shading.ambient_occlusion, 0.0, 0.0, 0.0], 1),
                 Aov::SkyVisibility => ([shading.sky_visibility, 0.0, 0.0, 0.0], 1),

@@ -255,6 +255,7 @@ mod tests {
             normal,
             plane: normal,
             radius: 0.1,
+            material: pbgi_schedule::Material::default(),
             albedo: [0.5; 3],
             emission: [0.0; 3],
             is_back: false,

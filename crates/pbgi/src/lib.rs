@@ -36,6 +36,8 @@ mod scan;
 mod shade;
 mod share;
 mod splat;
+mod table_receivers;
+mod target;
 
 pub use bake::bake;
 pub use bake_report::{BakeReport, BytesPerSurfel, PhaseReport};
@@ -57,10 +59,15 @@ pub use pbgi_cloud::{ClassFilter, CloudOptions, InvalidPolicy, PlyWriter};
 pub use pbgi_image::{Aov, AovNames, AovPreset, write_environment_exr};
 pub use pbgi_light::{SkyParameters, UpAxis, synthetic_sky};
 pub use pbgi_scene::{ProceduralScene, Scene, TwoSided, procedural_scene};
+pub use pbgi_schedule::{ImportanceTerms, Material};
 pub use points::{PointSource, PointsRequest, shade_points};
 pub use progress::{Phase, Progress, ProgressMode, Verbosity};
 pub use relight::{BOUNCES_MAX, LightRequest};
-pub use shade::{CacheReport, EnvironmentSpec, LightSource, ShadeReport, ShadeSettings};
+pub use shade::{
+    CacheReport, EnvironmentSpec, GlossSettings, LightSource, ShadeReport, ShadeSettings,
+};
+
+pub use target::TargetReport;
 
 /// The example of the README, which must compile.
 #[cfg(doctest)]

@@ -57,8 +57,8 @@ pub fn refuse_to_overwrite(path: &Path, force: bool) -> Result<(), PbgiError> {
 }
 
 /// Averaged over the samples of a pixel: beauty, reflected indirect light, irradiance, albedo,
-/// occlusion, sky visibility.
-const MIXED: usize = 14;
+/// occlusion, sky visibility, what is reflected glossily.
+const MIXED: usize = 17;
 /// Of the largest fragment of a pixel: bent normal.
 const NEAREST: usize = 3;
 
@@ -129,6 +129,7 @@ impl FrameImage {
                 let (all, count) = match aov {
                     Aov::Beauty => ([values[0], values[1], values[2], alpha[pixel]], 4),
                     Aov::DiffuseIndirect => (with_zero(&values[3..6]), 3),
+                    Aov::SpecularIndirect => (with_zero(&values[14..17]), 3),
                     Aov::Irradiance => (with_zero(&values[6..9]), 3),
                     Aov::Albedo => (with_zero(&values[9..12]), 3),
                     Aov::Occlusion => ([values[12], 0.0, 0.0, 0.0], 1),
@@ -172,19 +173,21 @@ fn with_zero(values: &[f32]) -> [f32; 4] {
 }
 
 /// Values of a piece that are averaged over the samples of a pixel. Reflected radiance of a Lambertian
-/// surface is `albedo/π · E`.
+/// surface is `albedo/π · E`, of what the gloss above it lets through.
 fn mixed_values(piece: &Piece, shading: &Shading) -> [f32; MIXED] {
     let irradiance = shading.irradiance();
     let mut values = [0.0; MIXED];
     for c in 0..3 {
-        let reflected = piece.albedo[c] * FRAC_1_PI * irradiance[c];
-        values[c] = reflected + piece.emission[c];
+        let through = 1.0 - shading.gloss_albedo[c];
+        let reflected = through * piece.albedo[c] * FRAC_1_PI * irradiance[c];
+        values[c] = reflected + shading.reflected[c] + piece.emission[c];
         values[3 + c] = reflected;
         values[6 + c] = irradiance[c];
         values[9 + c] = piece.albedo[c];
     }
     values[12] = shading.ambient_occlusion;
     values[13] = shading.sky_visibility;
+    values[14..].copy_from_slice(&shading.reflected);
     values
 }
 
@@ -263,7 +266,8 @@ pub(crate) fn settings_attributes(
         ("software".to_owned(), Text(format!("pbgi {}", env!("CARGO_PKG_VERSION")))),
         ("pbgi:octree".to_owned(), Text(file_name(octree))),
         ("pbgi:surfels".to_owned(), Text(report.surfels.to_string())),
-        ("pbgi:solidAngle".to_owned(), Float(settings.solid_angle_sr)),
+        ("pbgi:solidAngle".to_owned(), Float(report.solid_angle_sr)),
+        ("pbgi:importance".to_owned(), Text(settings.importance.to_string())),
         ("pbgi:raster".to_owned(), Int(settings.raster_edge as i32)),
         ("pbgi:bias".to_owned(), Float(settings.bias)),
         ("pbgi:receivers".to_owned(), Text(report.receivers.to_string())),
@@ -277,6 +281,9 @@ pub(crate) fn settings_attributes(
         attributes.push(("pbgi:relativeRmse".to_owned(), Float(check.rrmse as f32)));
         attributes.push(("pbgi:bias".to_owned() + "OfMean", Float(check.bias as f32)));
         attributes.push(("pbgi:relativeErrorP99".to_owned(), Float(check.p99 as f32)));
+        if let Some(gloss) = &check.gloss {
+            attributes.push(("pbgi:glossRelativeRmse".to_owned(), Float(gloss.rrmse as f32)));
+        }
     }
     attributes
 }

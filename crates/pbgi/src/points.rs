@@ -4,11 +4,13 @@ use crate::memory_split::MemorySplit;
 use crate::output_path::folder_of;
 use crate::scan::{is_scan, is_scan_name, read_scan};
 use crate::shade::{CHUNK_RECEIVERS, Session, ShadeReport, ShadeSettings, read_header, up_axis};
+use crate::table_receivers::{TableReceivers, no_eye};
+use crate::target::spread;
 use crate::{PbgiError, Progress};
 use pbgi_cloud::{LasResultWriter, ReceiverTable, RowWriter};
 use pbgi_format::LeafSurfel;
 use pbgi_math::{DVec3, Vec3};
-use pbgi_schedule::{Receiver, Shading};
+use pbgi_schedule::{Material, Receiver, Shading};
 use pbgi_store::try_for_each_leaf;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -34,6 +36,8 @@ pub struct PointsRequest<'a> {
     pub source: PointSource,
     /// The file to write: `.npy`, `.csv`, else PLY; `.las` or `.laz` for the scan itself with more dimensions.
     pub target: &'a Path,
+    /// Place of the eye that glossy reflections are seen from, in the world.
+    pub eye: Option<DVec3>,
     /// Quality, light and resources.
     pub settings: ShadeSettings,
 }
@@ -55,6 +59,10 @@ const RESULT_COLUMNS: [&str; 14] = [
     "bent_ny",
     "bent_nz",
 ];
+
+/// Columns of glossy reflections, after those.
+const GLOSS_COLUMNS: [&str; 3] =
+    ["specular_indirect_r", "specular_indirect_g", "specular_indirect_b"];
 
 /// Columns of a surfel that go with it.
 const SURFEL_COLUMNS: [&str; 5] = ["radius", "area", "albedo_r", "albedo_g", "albedo_b"];
@@ -88,7 +96,10 @@ pub fn shade_points(
         PointSource::File(path) => !is_scan(path)?,
         PointSource::Surfels => true,
     };
-    let phases = 1 + u32::from(!has_normals) + u32::from(settings.check_receivers > 0);
+    let phases = 1
+        + u32::from(!has_normals)
+        + u32::from(settings.target_error.is_some())
+        + u32::from(settings.check_receivers > 0);
     progress.set_phase_count(phases);
     let table = match &request.source {
         PointSource::File(path) if !has_normals => {
@@ -99,6 +110,16 @@ pub fn shade_points(
         PointSource::Surfels => None,
     };
     let origin = table.as_ref().map_or(header.origin, |table| table.origin);
+    let has_gloss = settings.gloss.is_some();
+    let rows = table
+        .as_ref()
+        .map(|table| TableReceivers::new(table, header.origin, request.eye, has_gloss))
+        .transpose()?;
+    let eye = match request.eye {
+        Some(eye) => (eye - header.origin).as_vec3(),
+        None if has_gloss && rows.is_none() => return Err(no_eye()),
+        None => Vec3::ZERO,
+    };
     let mut writer = ResultWriter::create(request, table.as_ref(), origin)?;
     let count = table.as_ref().map_or(0, |t| t.len() as u64);
     let frame_bytes = count * RECEIVER_BYTES + CHUNK_BYTES;
@@ -107,9 +128,22 @@ pub fn shade_points(
     let extra_readers = usize::from(table.is_none());
     let mut session =
         Session::open(request.octree, settings, environment, split, extra_readers, cancel)?;
-    match &table {
-        Some(table) => shade_table(&mut session, table, header.origin, &mut writer, progress)?,
-        None => shade_surfels(&mut session, header.origin, &mut writer, progress, cancel)?,
+    match (&table, &rows) {
+        (Some(table), Some(rows)) => {
+            if session.wants_calibration() {
+                let sample: Vec<Receiver> =
+                    spread(table.len()).map(|row| rows.receiver(&session, row)).collect();
+                session.calibrate(&sample, progress)?;
+            }
+            shade_table(&mut session, table, rows, &mut writer, progress)?;
+        }
+        _ => {
+            if session.wants_calibration() {
+                let sample = sample_surfels(&session, eye, cancel)?;
+                session.calibrate(&sample, progress)?;
+            }
+            shade_surfels(&mut session, eye, header.origin, &mut writer, progress, cancel)?;
+        }
     }
     let mut report = session.finish(progress)?;
     writer.finish()?;
@@ -117,26 +151,50 @@ pub fn shade_points(
     Ok(report)
 }
 
+/// A surfel as a receiver; one without a normal looks up.
+fn surfel_receiver(session: &Session<'_>, surfel: &LeafSurfel, eye: Vec3) -> Receiver {
+    let material = Material { base_color: surfel.albedo, ..Material::default() };
+    let gloss = session.gloss(material, surfel.center, eye);
+    let normal = if surfel.isotropic { session.up() } else { surfel.normal };
+    Receiver { position: surfel.center, normal, gloss }
+}
+
+/// Surfels spread over the file.
+fn sample_surfels(
+    session: &Session<'_>,
+    eye: Vec3,
+    cancel: &AtomicBool,
+) -> Result<Vec<Receiver>, PbgiError> {
+    let mut wanted = spread(session.octree.header().surfel_count as usize).peekable();
+    let mut sample = Vec::new();
+    try_for_each_leaf(&mut session.octree.reader(), |first, surfels| {
+        if cancel.load(Ordering::Relaxed) {
+            return Err(PbgiError::Interrupted);
+        }
+        while let Some(index) = wanted.peek() {
+            let Some(surfel) = surfels.get(*index - first as usize) else { break };
+            sample.push(surfel_receiver(session, surfel, eye));
+            wanted.next();
+        }
+        Ok(())
+    })?;
+    Ok(sample)
+}
+
 /// Shades the receivers of a table in the order of its rows.
 fn shade_table(
     session: &mut Session<'_>,
     table: &ReceiverTable,
-    origin: DVec3,
+    receivers_of: &TableReceivers<'_>,
     writer: &mut ResultWriter,
     progress: &Progress,
 ) -> Result<(), PbgiError> {
-    let shift = table.origin - origin;
     let passed_columns = writer.passed_columns.clone();
     let phase = progress.start_phase("shade", "receivers", Some(table.len() as u64));
     for first in (0..table.len()).step_by(CHUNK_RECEIVERS) {
         let rows = first..(first + CHUNK_RECEIVERS).min(table.len());
-        let receivers: Vec<Receiver> = rows
-            .clone()
-            .map(|row| Receiver {
-                position: (table.positions[row].as_dvec3() + shift).as_vec3(),
-                normal: table.normals[row],
-            })
-            .collect();
+        let receivers: Vec<Receiver> =
+            rows.clone().map(|row| receivers_of.receiver(session, row)).collect();
         let shadings =
             session.shade(&receivers, None, &|done| phase.set_done(first as u64 + done))?;
         for (row, shading) in rows.zip(&shadings) {
@@ -151,6 +209,7 @@ fn shade_table(
 /// Shades every surfel in the order of the file, a chunk at a time.
 fn shade_surfels(
     session: &mut Session<'_>,
+    eye: Vec3,
     origin: DVec3,
     writer: &mut ResultWriter,
     progress: &Progress,
@@ -158,13 +217,10 @@ fn shade_surfels(
 ) -> Result<(), PbgiError> {
     let octree = Arc::clone(&session.octree);
     let phase = progress.start_phase("shade", "surfels", Some(octree.header().surfel_count));
-    let (up, mut done) = (session.up(), 0);
+    let mut done = 0;
     let mut shade = |chunk: &mut Vec<LeafSurfel>| -> Result<(), PbgiError> {
-        let receiver = |s: &LeafSurfel| Receiver {
-            position: s.center,
-            normal: if s.isotropic { up } else { s.normal },
-        };
-        let receivers: Vec<Receiver> = chunk.iter().map(receiver).collect();
+        let receivers: Vec<Receiver> =
+            chunk.iter().map(|s| surfel_receiver(session, s, eye)).collect();
         let shadings = session.shade(&receivers, None, &|now| phase.set_done(done + now))?;
         done += chunk.len() as u64;
         for (surfel, (receiver, shading)) in chunk.iter().zip(receivers.iter().zip(&shadings)) {
@@ -200,6 +256,8 @@ const SCAN_DIMENSIONS: [&str; 6] = [
 /// Results on their way into a file.
 struct ResultWriter {
     target: Target,
+    /// Whether rows have columns of glossy reflections.
+    has_gloss: bool,
     /// Columns of the input that pass through.
     passed_columns: Vec<usize>,
 }
@@ -225,7 +283,7 @@ impl ResultWriter {
                 PointSource::File(path) if is_scan(path)? => {
                     let writer = LasResultWriter::create(path, target, &SCAN_DIMENSIONS)?;
                     let target = Target::Scan(Box::new(writer), Vec::new());
-                    Ok(Self { target, passed_columns: Vec::new() })
+                    Ok(Self { target, has_gloss: false, passed_columns: Vec::new() })
                 }
                 _ => Err(PbgiError::usage(format!(
                     "{}: only the points of LAS and LAZ files come back as such; name a .ply, .npy or .csv file",
@@ -235,6 +293,8 @@ impl ResultWriter {
         }
         let double_count = if origin == DVec3::ZERO { 0 } else { 3 };
         let mut names: Vec<&str> = RESULT_COLUMNS.to_vec();
+        let has_gloss = request.settings.gloss.is_some();
+        names.extend(GLOSS_COLUMNS.iter().filter(|_| has_gloss));
         let mut passed_columns = Vec::new();
         match table {
             None => names.extend(SURFEL_COLUMNS),
@@ -248,7 +308,8 @@ impl ResultWriter {
             }
         }
         let writer = RowWriter::create(target, &names, double_count)?;
-        Ok(Self { target: Target::Rows(writer, Vec::new()), passed_columns })
+        let target = Target::Rows(writer, Vec::new());
+        Ok(Self { target, has_gloss, passed_columns })
     }
 
     /// Appends the result of a receiver and, in tables, what goes with it.
@@ -266,7 +327,9 @@ impl ResultWriter {
                 row.clear();
                 row.extend(position.to_array());
                 let floats = normal.to_array().into_iter().chain(irradiance).chain(open);
-                let floats = floats.chain(shading.bent_normal.to_array()).chain(others);
+                let reflected = shading.reflected.into_iter().filter(|_| self.has_gloss);
+                let floats = floats.chain(shading.bent_normal.to_array());
+                let floats = floats.chain(reflected).chain(others);
                 row.extend(floats.map(f64::from));
                 writer.write_rows(row)?;
             }

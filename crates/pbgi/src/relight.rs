@@ -240,7 +240,7 @@ impl<'a> RelitStream<'a> {
         let receiver = |&index: &u32| {
             let surfel = &self.ahead[index as usize].1;
             let normal = if surfel.is_isotropic() { up } else { surfel.normal() };
-            Receiver { position: surfel.center(), normal }
+            Receiver::diffuse(surfel.center(), normal)
         };
         let receivers: Vec<Receiver> = chosen.iter().map(receiver).collect();
         // Surfels done with each receiver, on average.

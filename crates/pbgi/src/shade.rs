@@ -5,13 +5,15 @@ use crate::PbgiError;
 use crate::check::{AloneReport, CheckReport, CheckSample};
 use crate::memory_split::MemorySplit;
 use crate::progress::{Progress, format_bytes, format_count, format_seconds};
+use crate::target::{Calibration, TargetReport};
 use pbgi_cut::CutStats;
 use pbgi_format::{Channels, Header};
 use pbgi_image::read_environment;
 use pbgi_light::{Environment, EnvironmentOptions, UpAxis};
 use pbgi_math::Vec3;
 use pbgi_schedule::{
-    GatherParts, GatherSettings, PreparedLight, Receiver, ShadeOptions, Shading, shade_receivers,
+    GatherParts, GatherSettings, Gloss, ImportanceTerms, Material, PreparedLight, Receiver,
+    ShadeOptions, Shading, shade_receivers,
 };
 use pbgi_store::{Backend, CacheStats, Octree, OpenOptions};
 use serde::Serialize;
@@ -95,13 +97,59 @@ impl EnvironmentSpec {
     }
 }
 
+/// Numbers of materials that are the same for all receivers, whatever their own are.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct GlossSettings {
+    /// Perceptual roughness, 0..=1.
+    pub roughness: Option<f32>,
+    /// 0 for dielectrics, 1 for metals.
+    pub metalness: Option<f32>,
+    /// Strength of a dielectric's gloss, 0..=1.
+    pub specular: Option<f32>,
+}
+
+impl GlossSettings {
+    /// `own` with these numbers in place of its own.
+    #[must_use]
+    pub fn apply(&self, own: Material) -> Material {
+        Material {
+            base_color: own.base_color,
+            metalness: self.metalness.unwrap_or(own.metalness),
+            roughness: self.roughness.unwrap_or(own.roughness),
+            specular: self.specular.unwrap_or(own.specular),
+        }
+    }
+
+    fn check(&self) -> Result<(), PbgiError> {
+        for (name, value) in [
+            ("roughness", self.roughness),
+            ("metalness", self.metalness),
+            ("specular", self.specular),
+        ] {
+            if let Some(value) = value.filter(|v| !(0.0..=1.0).contains(v)) {
+                return Err(PbgiError::usage(format!(
+                    "--{name} is {value}, expected a number from 0 to 1"
+                )));
+            }
+        }
+        Ok(())
+    }
+}
+
 /// Quality, light and resources of a shading run.
 #[derive(Clone, Debug)]
 pub struct ShadeSettings {
     /// Largest solid angle in steradians of a node that stands for its surfels; 0 takes every surfel.
     pub solid_angle_sr: f32,
+    /// Relative root mean square error to choose the solid angle for, by measuring a sample of the receivers; `solid_angle_sr` then
+    /// does not count.
+    pub target_error: Option<f64>,
+    /// Which terms make the solid angle smaller or larger by direction.
+    pub importance: ImportanceTerms,
     /// Texels along a face of the cube raster, 1 to 64.
     pub raster_edge: usize,
+    /// Glossy reflections, if any.
+    pub gloss: Option<GlossSettings>,
     /// Surfels that rise less than this share of their radius above a receiver's tangent plane are its
     /// own surface.
     pub bias: f32,
@@ -120,7 +168,10 @@ impl Default for ShadeSettings {
         let gather = GatherSettings::default();
         Self {
             solid_angle_sr: gather.solid_angle_sr,
+            target_error: None,
+            importance: gather.importance,
             raster_edge: gather.raster_edge,
+            gloss: None,
             bias: gather.bias,
             environment: None,
             check_receivers: 0,
@@ -153,12 +204,16 @@ impl ShadeSettings {
         if self.threads == 0 {
             return out_of_range("the number of threads", &0, "at least 1");
         }
-        Ok(())
+        if let Some(target) = self.target_error.filter(|t| !(1e-4..=1.0).contains(t)) {
+            return out_of_range("the target error", &target, "a share from 0.0001 to 1");
+        }
+        self.gloss.map_or(Ok(()), |gloss| gloss.check())
     }
 
     fn gather(&self, header: &Header) -> GatherSettings {
         GatherSettings {
             solid_angle_sr: self.solid_angle_sr,
+            importance: self.importance,
             raster_edge: self.raster_edge,
             bias: self.bias,
             up: up_axis(header),
@@ -185,9 +240,12 @@ pub(crate) struct Session<'a> {
     pub environment: Option<Environment>,
     light: Option<PreparedLight>,
     gather: GatherSettings,
+    gloss: Option<GlossSettings>,
     threads: usize,
     cancel: &'a AtomicBool,
     sample: CheckSample,
+    target_error: Option<f64>,
+    target: Option<TargetReport>,
     /// Whether receivers share gathers, so that the check tells what sharing costs.
     pub shares: bool,
     cut: CutStats,
@@ -216,7 +274,11 @@ impl<'a> Session<'a> {
             backend: Backend::Read,
         };
         let octree = Arc::new(Octree::open(path, &options)?);
-        let light = environment.as_ref().map(|e| PreparedLight::new(e, settings.raster_edge));
+        let prepare = match settings.gloss {
+            Some(_) => PreparedLight::for_reflections,
+            None => PreparedLight::new,
+        };
+        let light = environment.as_ref().map(|e| prepare(e, settings.raster_edge));
         let mut warnings = Vec::new();
         if light.is_none() && octree.header().channels == Channels::Occlusion {
             warnings.push(
@@ -227,12 +289,15 @@ impl<'a> Session<'a> {
         }
         Ok(Self {
             gather: settings.gather(octree.header()),
+            gloss: settings.gloss,
             octree,
             environment,
             light,
             threads: settings.threads,
             cancel,
             sample: CheckSample::new(settings.check_receivers),
+            target_error: settings.target_error,
+            target: None,
             shares: false,
             cut: CutStats::default(),
             receivers: 0,
@@ -247,9 +312,41 @@ impl<'a> Session<'a> {
         self.light.is_some() || self.octree.header().channels != Channels::Occlusion
     }
 
+    /// What a receiver at `position` reflects toward `eye`, if anything reflects glossily; both in the same coordinates.
+    pub fn gloss(&self, material: Material, position: Vec3, eye: Vec3) -> Option<Gloss> {
+        let material = self.gloss?.apply(material);
+        let toward_eye = (eye - position).try_normalize()?;
+        Some(Gloss { material, toward_eye })
+    }
+
     /// The direction of the sky.
     pub fn up(&self) -> Vec3 {
         self.gather.up
+    }
+
+    /// Whether a sample of receivers is wanted before shading starts, for [`Self::calibrate`].
+    pub fn wants_calibration(&self) -> bool {
+        self.target_error.is_some()
+    }
+
+    /// Chooses the solid angle for the error that was asked for, by measuring some receivers.
+    pub fn calibrate(
+        &mut self,
+        receivers: &[Receiver],
+        progress: &Progress,
+    ) -> Result<(), PbgiError> {
+        let Some(target) = self.target_error else { return Ok(()) };
+        let calibration = Calibration {
+            octree: &self.octree,
+            light: self.light.as_ref(),
+            gather: self.gather,
+            threads: self.threads,
+            cancel: self.cancel,
+        };
+        let report = calibration.choose(target, receivers, progress)?;
+        self.gather.solid_angle_sr = report.solid_angle_sr;
+        self.target = Some(report);
+        Ok(())
     }
 
     /// Shades `receivers`, positions relative to the octree's origin; `advance` is told how many have
@@ -319,6 +416,8 @@ impl<'a> Session<'a> {
             empty_pixels: 0,
             surfels: self.octree.header().surfel_count,
             solid_angle_sr: self.gather.solid_angle_sr,
+            target: self.target,
+            importance: self.gather.importance.to_string(),
             raster_edge: self.gather.raster_edge,
             threads: self.threads,
             environment_peaks: self.environment.as_ref().map_or(0, |e| e.peaks().len()),
@@ -431,6 +530,10 @@ pub struct ShadeReport {
     pub surfels: u64,
     /// Largest solid angle of a node in steradians.
     pub solid_angle_sr: f32,
+    /// How that was chosen, if an error was asked for.
+    pub target: Option<TargetReport>,
+    /// Terms of importance, separated by commas, or `off`.
+    pub importance: String,
     /// Texels along a face of the cube raster.
     pub raster_edge: usize,
     /// Worker threads.
@@ -464,6 +567,16 @@ impl ShadeReport {
         let limit = format_bytes(self.memory.limit_bytes);
         let peak = self.memory_peak_bytes.map_or("unknown".to_owned(), format_bytes);
         rows.push(("peak memory", format!("{peak} of {limit}")));
+        if let Some(target) = &self.target {
+            let chosen = format!(
+                "{:.4} sr: {} measured with {} receivers, {} asked for",
+                target.solid_angle_sr,
+                percent(target.error),
+                target.receivers,
+                percent(target.target)
+            );
+            rows.push(("chosen solid angle", chosen));
+        }
         if let Some(check) = &self.check {
             let error = format!(
                 "{} relative rmse, {} bias, {} p99 ({} of {} receivers, every surfel in {})",
@@ -483,6 +596,15 @@ impl ShadeReport {
                     percent(alone.p99)
                 );
                 rows.push(("without sharing", error));
+            }
+            if let Some(gloss) = &check.gloss {
+                let error = format!(
+                    "{} relative rmse, {} bias, {} p99",
+                    percent(gloss.rrmse),
+                    percent(gloss.bias),
+                    percent(gloss.p99)
+                );
+                rows.push(("cut error of gloss", error));
             }
         }
         rows.push(("total time", format_seconds(self.total_seconds)));

@@ -5,6 +5,7 @@ use crate::band::{Band, Piece};
 use pbgi_format::LeafSurfel;
 use pbgi_math::Vec3;
 use pbgi_scene::{CameraView, Disk, HideOptions, VisibleSurfels, hide_disks};
+use pbgi_schedule::Material;
 use pbgi_store::{Octree, try_for_each_leaf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::sync_channel;
@@ -102,12 +103,14 @@ fn piece_of_surfel(surfel: &LeafSurfel, eye: Vec3, up: Vec3, has_albedo: bool) -
     let toward_eye = (eye - surfel.center).normalize_or(up);
     let sees_front = surfel.normal.dot(toward_eye) >= 0.0;
     let facing = if sees_front { surfel.normal } else { -surfel.normal };
+    let albedo = if has_albedo { surfel.albedo } else { GRAY_ALBEDO };
     Piece {
         position: surfel.center,
         normal: if surfel.isotropic { up } else { facing },
         plane: if surfel.isotropic { toward_eye } else { facing },
         radius: surfel.radius,
-        albedo: if has_albedo { surfel.albedo } else { GRAY_ALBEDO },
+        albedo,
+        material: Material { base_color: albedo, ..Material::default() },
         emission: if surfel.albedo == [0.0; 3] { surfel.radiance } else { [0.0; 3] },
         is_back: !surfel.isotropic && !sees_front,
     }

@@ -6,6 +6,7 @@
 mod cube;
 mod footprint;
 mod lanes;
+mod lobe;
 mod samples;
 mod shape;
 mod simd;
@@ -15,6 +16,7 @@ mod window;
 
 pub use cube::{CubeRaster, Footprint, Ink, SHAPES_MAX, TexelChunk};
 pub use lanes::{Lanes, SAMPLES};
+pub use lobe::{LobeInk, LobeRaster};
 pub use samples::Veil;
 pub use shape::{Disk, Section, Shape, Tile};
 pub use simd::{SimdLevel, WideKernel, run_wide};

@@ -38,12 +38,12 @@ impl Instance {
     }
 }
 
-/// Diffuse surface, as far as a diffuse gather needs it.
+/// A surface, as far as the gather needs it.
 #[derive(Clone, Debug)]
 pub struct Material {
     /// Name from the file, for messages.
     pub name: String,
-    /// Linear diffuse albedo, multiplied by the texture.
+    /// Linear color, multiplied by the texture: the diffuse albedo, or what a metal reflects.
     pub base_color: [f32; 3],
     /// Index into [`Scene::textures`].
     pub base_color_texture: Option<u32>,
@@ -55,6 +55,8 @@ pub struct Material {
     pub metallic: f32,
     /// Perceptual roughness, 0..=1.
     pub roughness: f32,
+    /// Strength of the gloss where it is no metal, 0..=1: 0.08 of it is reflected at normal incidence.
+    pub specular: f32,
     /// Base color alpha below this is a hole; `None` for an opaque material. The alpha is that of the
     /// base color texture, 1 without one.
     pub alpha_cutoff: Option<f32>,
@@ -74,6 +76,7 @@ impl Default for Material {
             emission_texture: None,
             metallic: 0.0,
             roughness: 1.0,
+            specular: 0.5,
             alpha_cutoff: None,
             double_sided: false,
             spacing_factor: 1.0,

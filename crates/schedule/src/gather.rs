@@ -1,20 +1,23 @@
 //! One receiver: its cut drawn into its raster, under the environment, times its BRDF.
 
-use crate::light::{PreparedLight, PreparedPeak};
-use crate::receiver::{Receiver, Shading};
-use pbgi_brdf::{ConvolutionTable, convolve_diffuse};
-use pbgi_cut::{
-    Cluster, CosineThreshold, CutReceiver, CutScratch, CutStats, CutVisitor, Piece, SurfelSeen,
-    UniformThreshold, pick_cut,
+use crate::drawing::{
+    blocks, neighbor_tolerance, piece_shape, surfel_disk, surfel_ink, surfel_tile,
 };
-use pbgi_format::LeafSurfel;
-use pbgi_math::{Aabb, Vec3};
+use crate::importance::{CubeThreshold, ImportanceTerms, LobeThreshold, Stakes};
+use crate::light::{PreparedLight, PreparedPeak};
+use crate::receiver::{Gloss, Receiver, Shading};
+use crate::reflect::{LobeScratch, LobeVisitor};
+use pbgi_brdf::{ConvolutionTable, GgxLobe, convolve_diffuse};
+use pbgi_cut::{
+    Cluster, CutReceiver, CutScratch, CutStats, CutVisitor, SurfelSeen, Threshold,
+    UniformThreshold, mean_brightness, pick_cut,
+};
+use pbgi_math::{Aabb, Vec3, sphere_sin2_for_solid_angle};
 use pbgi_raster::{
-    CubeRaster, CubeRasterTable, Disk, Footprint, Ink, Lanes, SHAPES_MAX, Section, SimdLevel, Tile,
-    Veil, WideKernel, Window, WindowRaster, run_wide,
+    CubeRaster, CubeRasterTable, Footprint, Ink, Lanes, SHAPES_MAX, Section, SimdLevel, Veil,
+    WideKernel, Window, WindowRaster, run_wide,
 };
 use pbgi_store::{Reader, StoreError};
-use std::f32::consts::FRAC_1_PI;
 use std::marker::PhantomData;
 
 /// Which light a gather looks for.
@@ -25,18 +28,22 @@ pub enum GatherParts {
     All,
     /// What the cube raster holds: surfaces and the environment without its peaks.
     Broad,
-    /// The environment's peaks alone: sun and lamps, with sharp shadows.
-    Peaks,
+    /// What varies fast over a surface: the environment's peaks, with sharp shadows, and glossy reflections.
+    Sharp,
 }
 
 /// Quality of a gather.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GatherSettings {
-    /// Largest solid angle of a node that is taken as one, in steradians, if it lies along the normal and is no plane (see
-    /// [`pbgi_cut::CosineThreshold`]); 0 takes every surfel.
+    /// Largest solid angle of a node that is taken as one, in steradians, before `importance` makes it smaller or larger; 0 takes every
+    /// surfel.
     pub solid_angle_sr: f32,
+    /// What makes nodes in some directions smaller or larger than in others.
+    pub importance: ImportanceTerms,
     /// Texels along a face of the cube raster, 1 to 64.
     pub raster_edge: usize,
+    /// Directions of a reflection: 16 · 4^`lobe_level`; at most 4.
+    pub lobe_level: u32,
     /// Surfels that rise less than this share of their radius above the receiver's tangent plane
     /// are its own surface.
     pub bias: f32,
@@ -52,7 +59,9 @@ impl Default for GatherSettings {
     fn default() -> Self {
         Self {
             solid_angle_sr: 0.08,
+            importance: ImportanceTerms::ALL,
             raster_edge: 8,
+            lobe_level: 2,
             bias: 0.4,
             parts: GatherParts::All,
             up: Vec3::Y,
@@ -60,13 +69,6 @@ impl Default for GatherSettings {
         }
     }
 }
-
-/// Disks that lie along the receiver's own surface are not hit nearer than this many radii: the
-/// neighbors of a point on a curved surface stand above its tangent plane, though the surface does not.
-const OWN_SURFACE_RADII: f32 = 2.0;
-
-/// Cosine between normals above which a near disk counts as the receiver's own surface.
-const OWN_SURFACE_COSINE: f32 = 0.7;
 
 /// Share of a window's texel that a node may span to be drawn as one.
 const WINDOW_TEXEL_SHARE: f32 = 0.5;
@@ -79,6 +81,9 @@ pub struct Gatherer<'a> {
     table: ConvolutionTable,
     raster: CubeRaster,
     window_raster: WindowRaster,
+    lobe: LobeScratch,
+    /// What importance weighs brightness by; found by the first gather.
+    stakes: Option<Stakes<'a>>,
     scratch: CutScratch,
     stats: CutStats,
 }
@@ -99,6 +104,8 @@ impl<'a> Gatherer<'a> {
             light,
             raster: CubeRaster::new(&table, shines),
             table: ConvolutionTable::new(&table),
+            lobe: LobeScratch::new(settings.lobe_level),
+            stakes: None,
             window_raster: WindowRaster::default(),
             scratch: CutScratch::default(),
             stats: CutStats::default(),
@@ -131,40 +138,51 @@ impl<'a> Gatherer<'a> {
             surfel_bias: self.settings.bias,
         };
         let mut shading = Shading::default();
-        if self.settings.parts != GatherParts::Peaks {
+        if self.settings.parts != GatherParts::Sharp {
             shading = self.gather_broad::<L>(&cut_receiver)?;
         }
         if self.settings.parts != GatherParts::Broad {
+            let lobe = receiver.gloss.as_ref().and_then(|Gloss { material, toward_eye }| {
+                GgxLobe::new(material, receiver.normal, *toward_eye)
+            });
+            if let Some(lobe) = &lobe {
+                self.gather_lobe::<L>(lobe, &cut_receiver, &mut shading)?;
+            }
             for peak in self.light.map_or(&[][..], |l| &l.peaks) {
-                let irradiance = self.gather_peak::<L>(peak, &cut_receiver)?;
-                for (sum, part) in shading.environment_irradiance.iter_mut().zip(irradiance) {
-                    *sum += part;
-                }
+                self.gather_peak::<L>(peak, &cut_receiver, lobe.as_ref(), &mut shading)?;
             }
         }
         shading.cut_size = (self.stats.cut_size() - before) as u32;
         Ok(shading)
     }
 
-    /// Everything but peaks: the cut drawn into the cube, over the environment's base.
+    /// Everything but peaks and reflections: the cut drawn into the cube, over the environment's base.
     #[inline(always)]
     fn gather_broad<L: Lanes>(&mut self, receiver: &CutReceiver) -> Result<Shading, StoreError> {
         self.raster.clear::<L>(receiver.normal);
-        let threshold = CosineThreshold::new(self.settings.solid_angle_sr, receiver.normal);
+        let terms = self.settings.importance;
+        let stakes = self.stakes()?;
         let mut visitor = CubeVisitor::<L> {
             raster: &mut self.raster,
             footprint: Footprint::default(),
             normal: receiver.normal,
             lanes: PhantomData,
         };
-        pick_cut(
-            &mut self.reader,
+        let mut walk = Walk {
+            reader: &mut self.reader,
+            scratch: &mut self.scratch,
+            stats: &mut self.stats,
             receiver,
-            &threshold,
-            &mut visitor,
-            &mut self.scratch,
-            &mut self.stats,
-        )?;
+        };
+        if terms == ImportanceTerms::OFF {
+            walk.pick(&uniform(self.settings.solid_angle_sr), &mut visitor)?;
+        } else {
+            let edge = self.settings.raster_edge as f32;
+            let texel_sr = SMALLEST_TEXEL_SR / (edge * edge);
+            let (user_sr, normal) = (self.settings.solid_angle_sr, receiver.normal);
+            let threshold = CubeThreshold { user_sr, texel_sr, normal, terms, stakes };
+            walk.pick(&threshold, &mut visitor)?;
+        }
         let base = self.light.map(|l| &l.base);
         let diffuse =
             convolve_diffuse(&self.raster, &self.table, base, receiver.normal, self.settings.up);
@@ -174,47 +192,133 @@ impl<'a> Gatherer<'a> {
             ambient_occlusion: diffuse.ambient_occlusion,
             sky_visibility: diffuse.sky_visibility,
             bent_normal: diffuse.bent_normal,
-            cut_size: 0,
+            ..Shading::default()
         })
     }
 
-    /// Irradiance from one peak: a narrow walk that draws what blocks its window.
+    /// What importance weighs brightness by.
+    fn stakes(&mut self) -> Result<Stakes<'a>, StoreError> {
+        if let Some(known) = self.stakes {
+            return Ok(known);
+        }
+        let sky = self.light.map(|light| &light.pyramid);
+        let surfaces = mean_brightness(&mut self.reader)?;
+        let stakes = Stakes::new(self.settings.importance, surfaces, sky);
+        self.stakes = Some(stakes);
+        Ok(stakes)
+    }
+
+    /// Reflections but for the environment's peaks: a walk that draws what a lobe meets.
+    #[inline(always)]
+    fn gather_lobe<L: Lanes>(
+        &mut self,
+        lobe: &GgxLobe,
+        receiver: &CutReceiver,
+        shading: &mut Shading,
+    ) -> Result<(), StoreError> {
+        let stakes = self.stakes()?;
+        self.lobe.start(lobe);
+        let (count, texel_sr) = (self.lobe.count(), self.lobe.smallest_solid_angle());
+        let mut visitor = LobeVisitor::<L> {
+            count,
+            raster: &mut self.lobe.raster,
+            lobe,
+            normal: receiver.normal,
+            lanes: PhantomData,
+        };
+        let mut walk = Walk {
+            reader: &mut self.reader,
+            scratch: &mut self.scratch,
+            stats: &mut self.stats,
+            receiver,
+        };
+        let user_sr = self.settings.solid_angle_sr;
+        let terms = self.settings.importance;
+        if terms == ImportanceTerms::OFF {
+            walk.pick(&uniform(user_sr), &mut visitor)?;
+        } else {
+            let axis = lobe.mirror();
+            let threshold = LobeThreshold { user_sr, texel_sr, lobe, axis, terms, stakes };
+            walk.pick(&threshold, &mut visitor)?;
+        }
+        (shading.reflected, shading.gloss_albedo) = self.lobe.resolve(self.light);
+        Ok(())
+    }
+
+    /// Light from one peak: a narrow walk that draws what blocks its window.
     #[inline(always)]
     fn gather_peak<L: Lanes>(
         &mut self,
         peak: &PreparedPeak,
         receiver: &CutReceiver,
-    ) -> Result<[f32; 3], StoreError> {
+        lobe: Option<&GgxLobe>,
+        shading: &mut Shading,
+    ) -> Result<(), StoreError> {
         let axis = peak.window.frame().normal;
         if axis.dot(receiver.normal) <= -peak.sin_half_angle {
-            return Ok([0.0; 3]);
+            return Ok(());
         }
         self.window_raster.clear(&peak.window);
-        let sine = 0.5 * WINDOW_TEXEL_SHARE * peak.texel_width;
-        let threshold = UniformThreshold::from_sine(sine);
+        let user_sr = self.settings.solid_angle_sr;
+        let threshold = if self.settings.importance.env {
+            let sine = 0.5 * WINDOW_TEXEL_SHARE * peak.texel_width;
+            UniformThreshold::from_sine(sine.min(sphere_sin2_for_solid_angle(user_sr).sqrt()))
+        } else {
+            uniform(user_sr)
+        };
         let mut visitor = WindowVisitor::<L> {
             raster: &mut self.window_raster,
             window: &peak.window,
             normal: receiver.normal,
             lanes: PhantomData,
         };
-        pick_cut(
-            &mut self.reader,
+        let mut walk = Walk {
+            reader: &mut self.reader,
+            scratch: &mut self.scratch,
+            stats: &mut self.stats,
             receiver,
-            &threshold,
-            &mut visitor,
-            &mut self.scratch,
-            &mut self.stats,
-        )?;
-        let mut irradiance = [0.0; 3];
+        };
+        walk.pick(&threshold, &mut visitor)?;
         for (index, (direction, light)) in peak.texels.iter().enumerate() {
-            let open = if self.window_raster.is_open(index) { 1.0 } else { 0.0 };
-            let weight = open * direction.dot(receiver.normal).max(0.0);
-            for (sum, l) in irradiance.iter_mut().zip(light) {
-                *sum += weight * l;
+            if !self.window_raster.is_open(index) {
+                continue;
+            }
+            let cosine = direction.dot(receiver.normal).max(0.0);
+            let reflect = lobe.map_or([0.0; 3], |lobe| lobe.reflect(*direction));
+            for channel in 0..3 {
+                shading.environment_irradiance[channel] += cosine * light[channel];
+                shading.reflected[channel] += reflect[channel] * light[channel];
             }
         }
-        Ok(irradiance)
+        Ok(())
+    }
+}
+
+/// Solid angle of the smallest texel of a cube with one texel per face, in the limit of many: those in the corners, by (1 + 1 + 1)^(−3/2)
+/// of 4 in the middle.
+const SMALLEST_TEXEL_SR: f32 = 4.0 / 5.196_152;
+
+/// The same threshold everywhere.
+fn uniform(solid_angle_sr: f32) -> UniformThreshold {
+    UniformThreshold::from_sine(sphere_sin2_for_solid_angle(solid_angle_sr).sqrt())
+}
+
+/// What all walks for a receiver share.
+struct Walk<'w, 'a> {
+    reader: &'w mut Reader<'a>,
+    scratch: &'w mut CutScratch,
+    stats: &'w mut CutStats,
+    receiver: &'w CutReceiver,
+}
+
+impl Walk<'_, '_> {
+    #[inline(always)]
+    fn pick<T: Threshold, V: CutVisitor>(
+        &mut self,
+        threshold: &T,
+        visitor: &mut V,
+    ) -> Result<(), StoreError> {
+        pick_cut(self.reader, self.receiver, threshold, visitor, self.scratch, self.stats)
     }
 }
 
@@ -231,108 +335,6 @@ impl WideKernel for GatherKernel<'_, '_> {
     fn run<L: Lanes>(self) -> Self::Output {
         self.gatherer.gather_kernel::<L>(self.receiver)
     }
-}
-
-/// Least distance at which a disk is hit, so that a surface does not shadow itself.
-#[inline(always)]
-fn least_distance(surfel: &LeafSurfel, normal: Vec3) -> f32 {
-    let own = !surfel.isotropic && surfel.normal.dot(normal) > OWN_SURFACE_COSINE;
-    if own { OWN_SURFACE_RADII * surfel.radius } else { 0.0 }
-}
-
-/// Radius of a solid surfel's disk over that of the disk of its area: covers a square lattice. Surfels at the edges of boxes and
-/// boards know their rectangle and are not drawn as disks.
-const SOLID_RESERVE: f32 = 1.25;
-
-/// The same for sheets, whose edges are many: covering disks reach out of every edge of a leaf by a fifth of a
-/// micropolygon, which blocks a quarter too much in foliage. At 1.1 a fortieth of a square lattice stays open.
-const SHEET_RESERVE: f32 = 1.1;
-
-/// Covering radius over area-true radius from which on a surfel is a needle: its disk keeps the covering radius and becomes
-/// transparent instead.
-const NEEDLE_RATIO: f32 = 2.2;
-
-/// The same for the edges of a surfel's rectangle: rounding and the codes' errors leave no gap between neighbors.
-const TILE_RESERVE: f32 = 1.02;
-
-/// Share of a piece's extent by which planes of neighbors on the same surface may lie before its own and not hide it.
-const NEIGHBOR_DEPTH: f32 = 0.15;
-
-/// How much nearer, as a share of the distance, neighbors may be: of a piece with this extent over its distance, seen at this
-/// cosine. Where the plane is seen at a grazing angle, a small step along its normal is a long one along the line of sight.
-#[inline(always)]
-fn neighbor_tolerance(spread: f32, cosine: f32) -> f32 {
-    spread * if cosine > NEIGHBOR_DEPTH { NEIGHBOR_DEPTH / cosine } else { 1.0 }
-}
-
-/// Area that a surfel shows along its normal; an isotropic one half of its own in every direction.
-#[inline(always)]
-fn shown_area(surfel: &LeafSurfel) -> f32 {
-    if surfel.isotropic { 0.5 * surfel.area } else { surfel.area }
-}
-
-/// The disk a surfel is drawn as, and its opacity. An isotropic one turns to the receiver.
-#[inline(always)]
-fn surfel_disk(seen: &SurfelSeen, receiver_normal: Vec3) -> (Disk, Vec3, f32) {
-    let surfel = &seen.surfel;
-    let area_true = (shown_area(surfel) * FRAC_1_PI).sqrt();
-    let is_sheet = surfel.front_only || surfel.isotropic;
-    let reserve = if is_sheet { SHEET_RESERVE } else { SOLID_RESERVE };
-    let (mut radius, mut opacity) = (surfel.radius.min(reserve * area_true), 1.0);
-    if surfel.radius > NEEDLE_RATIO * area_true {
-        radius = surfel.radius;
-        opacity = (SHEET_RESERVE * area_true / radius).powi(2);
-    }
-    let normal = if surfel.isotropic {
-        surfel.center * (-1.0 / seen.distance2.sqrt())
-    } else {
-        surfel.normal
-    };
-    let inverse = normal * (1.0 / normal.dot(surfel.center));
-    let distance_min = least_distance(surfel, receiver_normal);
-    (Disk { inverse, center: surfel.center, radius, distance_min }, normal, opacity)
-}
-
-/// The rectangle a surfel is drawn as, if it knows one.
-#[inline(always)]
-fn surfel_tile(seen: &SurfelSeen, receiver_normal: Vec3) -> Option<Tile> {
-    let surfel = &seen.surfel;
-    surfel.tile.is_known().then(|| Tile {
-        inverse: surfel.normal * (1.0 / surfel.normal.dot(surfel.center)),
-        center: surfel.center,
-        edges: surfel.tile.edges(surfel.normal),
-        half: surfel.half_edges().map(|half| half * TILE_RESERVE),
-        distance_min: least_distance(surfel, receiver_normal),
-    })
-}
-
-/// Whether a surfel covers anything: neither seen along its edge nor from behind where only its front is.
-#[inline(always)]
-fn blocks(seen: &SurfelSeen) -> bool {
-    let surfel = &seen.surfel;
-    let height = surfel.normal.dot(surfel.center);
-    surfel.isotropic || height < 0.0 || (height > 0.0 && !surfel.front_only)
-}
-
-/// How a surfel, drawn with this normal, opacity and extent, covers and shines.
-#[inline(always)]
-fn surfel_ink(seen: &SurfelSeen, normal: Vec3, opacity: f32, extent: f32) -> Ink {
-    let surfel = &seen.surfel;
-    let distance = seen.distance2.sqrt();
-    let cosine = normal.dot(surfel.center) * (-1.0 / distance);
-    Ink {
-        veil: Veil { start: 0.0, end: opacity, seed: seen.seed },
-        solid_angle: shown_area(surfel) * cosine.abs() / seen.distance2,
-        radiance: if cosine > 0.0 { surfel.radiance } else { [0.0; 3] },
-        tolerance: neighbor_tolerance(extent / distance, cosine.abs()),
-    }
-}
-
-/// Where a piece of a cluster lies, and which share of it is there.
-#[inline(always)]
-fn piece_shape(cluster: &Cluster, piece: &Piece) -> (Section, Veil) {
-    let section = Section { inverse: piece.inverse, low: cluster.low, high: cluster.high };
-    (section, Veil { start: piece.start, end: piece.end, seed: cluster.seed })
 }
 
 /// Draws the cut into the cube.

@@ -4,12 +4,18 @@
 //! receivers come from or what becomes of the results.
 #![forbid(unsafe_code)]
 
+mod drawing;
 mod gather;
+mod importance;
 mod light;
 mod receiver;
+mod reflect;
 mod shade;
 
 pub use gather::{GatherParts, GatherSettings, Gatherer};
+pub use importance::ImportanceTerms;
 pub use light::PreparedLight;
-pub use receiver::{Receiver, Shading};
+pub use pbgi_brdf::Material;
+pub use pbgi_raster::SimdLevel;
+pub use receiver::{Gloss, Receiver, Shading};
 pub use shade::{ScheduleError, ShadeOptions, ShadeReport, shade_receivers};

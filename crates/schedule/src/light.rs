@@ -1,7 +1,7 @@
 //! The environment in the shape the gather reads it.
 
 use pbgi_brdf::EnvironmentTexels;
-use pbgi_light::Environment;
+use pbgi_light::{Environment, EnvironmentPyramid};
 use pbgi_math::Vec3;
 use pbgi_raster::{CubeRasterTable, Window};
 
@@ -22,13 +22,31 @@ pub(crate) struct PreparedPeak {
 pub struct PreparedLight {
     pub(crate) base: EnvironmentTexels,
     pub(crate) peaks: Vec<PreparedPeak>,
+    /// For what is seen in reflections, and for importance.
+    pub(crate) pyramid: EnvironmentPyramid,
 }
+
+/// Texels along a face of the pyramid that reflections show: a third of a degree each.
+const REFLECTED_EDGE: usize = 256;
+
+/// The same where only importance asks.
+const IMPORTANCE_EDGE: usize = 32;
 
 impl PreparedLight {
     /// Averages the environment over the texels of a raster with `n` texels per face and sets up a
     /// window for each of its peaks.
     #[must_use]
     pub fn new(environment: &Environment, n: usize) -> Self {
+        Self::with_detail(environment, n, IMPORTANCE_EDGE)
+    }
+
+    /// The same with the detail that glossy receivers reflect: 6 MiB more, and 0.3 s.
+    #[must_use]
+    pub fn for_reflections(environment: &Environment, n: usize) -> Self {
+        Self::with_detail(environment, n, REFLECTED_EDGE)
+    }
+
+    fn with_detail(environment: &Environment, n: usize, edge_max: usize) -> Self {
         let table = CubeRasterTable::new(n);
         let peaks = environment.peaks().iter().map(|peak| {
             let texels = (0..peak.n * peak.n).map(|i| {
@@ -47,6 +65,7 @@ impl PreparedLight {
         Self {
             base: EnvironmentTexels::new(&table, &environment.base_texels(n)),
             peaks: peaks.collect(),
+            pyramid: EnvironmentPyramid::new(environment, edge_max),
         }
     }
 }

@@ -1,5 +1,6 @@
 //! What is shaded, and what comes out.
 
+use pbgi_brdf::Material;
 use pbgi_math::Vec3;
 
 /// A place to gather light for.
@@ -9,6 +10,25 @@ pub struct Receiver {
     pub position: Vec3,
     /// Unit normal.
     pub normal: Vec3,
+    /// What it reflects glossily and toward whom; nothing for a receiver of diffuse light alone.
+    pub gloss: Option<Gloss>,
+}
+
+impl Receiver {
+    /// A receiver of diffuse light alone.
+    #[must_use]
+    pub fn diffuse(position: Vec3, normal: Vec3) -> Self {
+        Self { position, normal, gloss: None }
+    }
+}
+
+/// What a receiver reflects glossily, and toward whom.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gloss {
+    /// The surface.
+    pub material: Material,
+    /// Unit direction to the eye. Below the receiver's horizon nothing is seen of it.
+    pub toward_eye: Vec3,
 }
 
 /// What a receiver gathers.
@@ -24,6 +44,10 @@ pub struct Shading {
     pub sky_visibility: f32,
     /// Mean open direction.
     pub bent_normal: Vec3,
+    /// Radiance reflected glossily toward the eye, W·m⁻²·sr⁻¹; 0 for a receiver without gloss.
+    pub reflected: [f32; 3],
+    /// What the gloss would reflect of uniform light, 0..=1: what a diffuse base below it does not get.
+    pub gloss_albedo: [f32; 3],
     /// Entries of the cut.
     pub cut_size: u32,
 }

@@ -4,7 +4,10 @@ use crate::frames::Frames;
 use clap::{Args, Parser, ValueEnum};
 use pbgi::cli::{CommonArgs, parse_resolution, parse_triple};
 use pbgi::{Aov, AovNames, AovPreset};
-use pbgi::{CameraChoice, EnvironmentSpec, LightSource, PbgiError, ShadeSettings};
+use pbgi::{
+    CameraChoice, EnvironmentSpec, GlossSettings, ImportanceTerms, LightSource, PbgiError,
+    ShadeSettings,
+};
 use std::path::PathBuf;
 
 /// Gather light from an octree file, for a picture or for points
@@ -44,6 +47,9 @@ pub struct ShadeArgs {
     /// Distant light
     #[command(flatten)]
     pub light: LightArgs,
+    /// What is reflected
+    #[command(flatten)]
+    pub gloss: GlossArgs,
     /// How good
     #[command(flatten)]
     pub quality: QualityArgs,
@@ -166,6 +172,10 @@ pub struct PointArgs {
     /// Other columns of a PLY file pass through. Normals of scans are estimated, and all their points are shaded.
     #[arg(long, value_name = "FILE", conflicts_with_all = PICTURE_FLAGS)]
     pub receivers: Option<PathBuf>,
+    /// Place of the eye that glossy reflections of points are seen from
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_place, allow_hyphen_values = true,
+          conflicts_with_all = PICTURE_FLAGS)]
+    pub eye: Option<[f64; 3]>,
     /// Every surfel of the octree
     #[arg(long, conflicts_with = "receivers", conflicts_with_all = PICTURE_FLAGS)]
     pub surfels: bool,
@@ -232,6 +242,33 @@ impl LightArgs {
     }
 }
 
+/// What surfaces reflect glossily.
+#[derive(Clone, Debug, Args)]
+#[command(next_help_heading = "Gloss")]
+pub struct GlossArgs {
+    /// Reflect glossily, by the scene's materials or the points' columns roughness, metalness, specular
+    #[arg(long)]
+    pub gloss: bool,
+    /// Roughness of everything, 0 to 1, as in glTF; implies --gloss
+    #[arg(long, value_name = "R", allow_hyphen_values = true)]
+    pub roughness: Option<f32>,
+    /// Metalness of everything, 0 to 1; implies --gloss
+    #[arg(long, value_name = "M", allow_hyphen_values = true)]
+    pub metalness: Option<f32>,
+    /// Strength of the gloss of everything but metals, 0 to 1; implies --gloss
+    #[arg(long, value_name = "S", allow_hyphen_values = true)]
+    pub specular: Option<f32>,
+}
+
+impl GlossArgs {
+    /// The gloss asked for.
+    pub fn settings(&self) -> Option<GlossSettings> {
+        let Self { gloss, roughness, metalness, specular } = *self;
+        let settings = GlossSettings { roughness, metalness, specular };
+        (gloss || settings != GlossSettings::default()).then_some(settings)
+    }
+}
+
 /// How good the result is.
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Quality")]
@@ -240,6 +277,13 @@ pub struct QualityArgs {
     #[arg(long, visible_alias = "maxsolidangle", value_name = "SR",
           default_value_t = ShadeSettings::default().solid_angle_sr)]
     pub solid_angle: f32,
+    /// Choose the solid angle for this cut error, such as 2%, by measuring a sample of receivers first
+    #[arg(long, value_name = "SHARE", value_parser = parse_share)]
+    pub target_error: Option<f64>,
+    /// What makes nodes in some directions smaller or larger than in others: some of
+    /// env,lobe,cosine,radiance,quality, or all or off
+    #[arg(long, value_name = "TERMS", default_value = "all")]
+    pub importance: ImportanceTerms,
     /// Texels along a face of the cube raster
     #[arg(long, value_name = "N", default_value_t = ShadeSettings::default().raster_edge)]
     pub raster: usize,
@@ -296,10 +340,11 @@ pub struct OutputArgs {
 }
 
 impl OutputArgs {
-    /// The channels asked for, among those `known`.
-    pub fn parse_aovs(&self, known: &[Aov]) -> Result<Vec<Aov>, PbgiError> {
+    /// The channels asked for, among those `known`; those of gloss only where something is glossy.
+    pub fn parse_aovs(&self, known: &[Aov], has_gloss: bool) -> Result<Vec<Aov>, PbgiError> {
         if self.aovs == "all" {
-            return Ok(known.to_vec());
+            let is_made = |aov: &&Aov| has_gloss || **aov != Aov::SpecularIndirect;
+            return Ok(known.iter().filter(is_made).copied().collect());
         }
         let names = AovNames::default();
         let name_of = |aov: Aov| match aov {
@@ -319,6 +364,11 @@ impl OutputArgs {
             if !aovs.contains(aov) {
                 aovs.push(*aov);
             }
+        }
+        if !has_gloss && aovs.contains(&Aov::SpecularIndirect) {
+            return Err(PbgiError::usage(
+                "--aovs: `specular_indirect` needs glossy surfaces; add --gloss or --roughness R",
+            ));
         }
         if aovs.is_empty() {
             return Err(PbgiError::usage("--aovs names no channel; `all` means all"));
@@ -362,6 +412,15 @@ fn parse_exposure(text: &str) -> Result<Exposure, String> {
     let stops = text.parse().ok().filter(|x: &f32| x.abs() <= 100.0);
     let expected = || format!("`{text}` is no exposure; expected `auto` or stops such as 1.5");
     stops.map(Exposure::Stops).ok_or_else(expected)
+}
+
+/// A share: 2% or 0.02.
+fn parse_share(text: &str) -> Result<f64, String> {
+    let (number, scale) = text.strip_suffix('%').map_or((text, 1.0), |number| (number, 0.01));
+    let share = number.trim().parse().ok().map(|x: f64| x * scale);
+    share.filter(|x| (1e-4..=1.0).contains(x)).ok_or_else(|| {
+        format!("`{text}` is no error; expected such as 2% or 0.02, from 0.01% to 100%")
+    })
 }
 
 /// Three coordinates in double precision: survey coordinates have millions of meters.
@@ -410,15 +469,27 @@ mod tests {
         for bad in [["--resolution", "64"], ["--resolution", "0x3"], ["--exposure", "bright"]] {
             assert!(parse(&bad).is_err(), "{bad:?}");
         }
+        assert!(parse(&["--importance", "env,glow"]).is_err());
+        let target = |text| parse(&["--target-error", text]).map(|a| a.quality.target_error);
+        assert_eq!((target("2%").unwrap(), target("0.5").unwrap()), (Some(0.02), Some(0.5)));
+        assert!(target("0").is_err() && target("2 percent").is_err());
+        assert_eq!(parse(&[]).unwrap().gloss.settings(), None);
+        let rough = parse(&["--roughness", "0.3"]).unwrap().gloss.settings().unwrap();
+        assert_eq!((rough.roughness, rough.metalness), (Some(0.3), None));
         assert!(parse(&["--camera-position", "1,2,3"]).is_err());
         assert!(parse(&["--receivers", "r.ply", "--scene", "s.glb"]).is_err());
     }
 
     #[test]
     fn channels_are_found_by_name() {
-        let aovs =
-            |list: &str| parse(&["--aovs", list]).unwrap().output_options.parse_aovs(&FRAME_AOVS);
-        assert_eq!(aovs("all").unwrap().len(), FRAME_AOVS.len());
+        let of = |list: &str, has_gloss| {
+            parse(&["--aovs", list]).unwrap().output_options.parse_aovs(&FRAME_AOVS, has_gloss)
+        };
+        let aovs = |list: &str| of(list, false);
+        assert_eq!(aovs("all").unwrap().len(), FRAME_AOVS.len() - 1);
+        assert_eq!(of("all", true).unwrap().len(), FRAME_AOVS.len());
+        assert_eq!(of("specular_indirect", true).unwrap(), [Aov::SpecularIndirect]);
+        assert!(aovs("specular_indirect").unwrap_err().to_string().contains("--gloss"));
         assert_eq!(aovs("beauty, ao,P,ao").unwrap(), [Aov::Beauty, Aov::Occlusion, Aov::Position]);
         assert!(aovs("gloss").unwrap_err().to_string().contains("beauty, diffuse_indirect"));
         assert!(aovs(",").is_err());

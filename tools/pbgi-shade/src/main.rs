@@ -95,6 +95,9 @@ fn shade_one(
 fn settings(args: &ShadeArgs) -> ShadeSettings {
     ShadeSettings {
         solid_angle_sr: args.quality.solid_angle,
+        target_error: args.quality.target_error,
+        importance: args.quality.importance,
+        gloss: args.gloss.settings(),
         raster_edge: args.quality.raster,
         bias: args.quality.bias,
         environment: args.light.environment(),
@@ -111,7 +114,7 @@ fn picture(
     progress: &Progress,
     cancel: &AtomicBool,
 ) -> Result<ShadeReport, PbgiError> {
-    let aovs = args.output_options.parse_aovs(&FRAME_AOVS)?;
+    let aovs = args.output_options.parse_aovs(&FRAME_AOVS, settings.gloss.is_some())?;
     let scene = args.view.scene.as_deref().map(|name| scenes.load(name, progress)).transpose()?;
     let request = FrameRequest {
         octree: &args.octree,
@@ -145,7 +148,7 @@ fn gbuffer(
             SpaceArg::Camera => GBufferSpace::Camera,
         },
         pass_through: args.gbuffer.pass_through,
-        aovs: args.output_options.parse_aovs(&GBUFFER_AOVS)?,
+        aovs: args.output_options.parse_aovs(&GBUFFER_AOVS, settings.gloss.is_some())?,
         names: args.output_options.names(),
         settings,
     };
@@ -175,6 +178,8 @@ fn points(
         return Err(PbgiError::usage(message));
     }
     refuse_to_overwrite(&args.output, args.force)?;
-    let request = PointsRequest { octree: &args.octree, source, target: &args.output, settings };
+    let eye = args.points.eye.map(Into::into);
+    let request =
+        PointsRequest { octree: &args.octree, source, target: &args.output, eye, settings };
     shade_points(&request, progress, cancel)
 }

@@ -22,9 +22,9 @@ pub(super) struct SceneTriangle<'a> {
     pub vertices: [usize; 3],
 }
 
-/// Diffuse surface at a point.
+/// Colors of a surface at a point.
 pub(super) struct SurfaceColor {
-    pub albedo: [f32; 3],
+    pub base_color: [f32; 3],
     pub emission: [f32; 3],
 }
 
@@ -120,7 +120,7 @@ impl SceneTriangle<'_> {
         }
     }
 
-    /// Albedo and emission at barycentric coordinates, filtered over a micropolygon that is
+    /// Color and emission at barycentric coordinates, filtered over a micropolygon that is
     /// `fraction` as large as the triangle.
     pub fn color(&self, weights: [f32; 3], fraction: f32) -> SurfaceColor {
         let material = self.material;
@@ -137,10 +137,9 @@ impl SceneTriangle<'_> {
         let vertex = interpolated(&self.mesh.colors, self.vertices, weights).unwrap_or([1.0; 3]);
         let base = texel(material.base_color_texture);
         let glow = texel(material.emission_texture);
-        let diffuse = 1.0 - material.metallic;
         SurfaceColor {
-            albedo: std::array::from_fn(|i| {
-                (material.base_color[i] * base[i] * vertex[i] * diffuse).clamp(0.0, 1.0)
+            base_color: std::array::from_fn(|i| {
+                (material.base_color[i] * base[i] * vertex[i]).clamp(0.0, 1.0)
             }),
             emission: std::array::from_fn(|i| (material.emission[i] * glow[i]).max(0.0)),
         }

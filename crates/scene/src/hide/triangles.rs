@@ -22,8 +22,16 @@ pub struct Micropolygon {
     pub normal: Vec3,
     /// Unit normal of the triangle, turned toward the camera.
     pub geometric_normal: Vec3,
-    /// Linear diffuse albedo, 0..=1.
+    /// Linear diffuse albedo, 0..=1: what the base color leaves where it is no metal.
     pub albedo: [f32; 3],
+    /// Linear color, 0..=1.
+    pub base_color: [f32; 3],
+    /// 0 for dielectrics, 1 for metals.
+    pub metalness: f32,
+    /// Perceptual roughness, 0..=1.
+    pub roughness: f32,
+    /// Strength of a dielectric's gloss, 0..=1.
+    pub specular: f32,
     /// Emitted radiance toward the camera, W·m⁻²·sr⁻¹.
     pub emission: [f32; 3],
     /// Depth of `position` along the view axis, in scene units.
@@ -406,12 +414,18 @@ impl<'a> CellList<'a> {
         // A cell as large as the triangle is half a parallelogram.
         let fraction = (2.0 * steps[0] * steps[1]).min(1.0);
         let color = triangle.color(weights, fraction as f32);
-        let back = !is_front && !triangle.material.double_sided;
+        let material = triangle.material;
+        let back = !is_front && !material.double_sided;
+        let metalness = material.metallic.clamp(0.0, 1.0);
         Micropolygon {
             position: position.as_vec3(),
             normal: toward_camera(normal),
             geometric_normal: toward_camera(geometric),
-            albedo: color.albedo,
+            albedo: color.base_color.map(|c| c * (1.0 - metalness)),
+            base_color: color.base_color,
+            metalness,
+            roughness: material.roughness.clamp(0.0, 1.0),
+            specular: material.specular.clamp(0.0, 1.0),
             emission: if back { [0.0; 3] } else { color.emission },
             depth: depth as f32,
             radius: (0.5 * (a + b).length().max((a - b).length())) as f32,

@@ -123,6 +123,7 @@ fn read_material(
         emission_texture: glow.as_ref().map(|info| add_texture(info, false)),
         metallic: pbr.metallic_factor(),
         roughness: pbr.roughness_factor(),
+        specular: read_specular(material),
         alpha_cutoff,
         double_sided: material.double_sided(),
         name,
@@ -136,6 +137,14 @@ fn read_material(
         warnings.push(format!("material {} {text}", read.name));
     }
     (read, sources[0].or(sources[1]))
+}
+
+/// Reflectance at normal incidence, by index of refraction (1.5 without one) and factor, over the 0.08 of the strongest gloss.
+fn read_specular(material: &gltf::Material) -> f32 {
+    let ior = material.ior().unwrap_or(1.5);
+    let factor = material.specular().map_or(1.0, |s| s.specular_factor());
+    let reflectance = ((ior - 1.0) / (ior + 1.0)).powi(2) * factor;
+    if reflectance.is_finite() { (reflectance / 0.08).clamp(0.0, 1.0) } else { 0.5 }
 }
 
 fn metallic_roughness_key(material: &gltf::Material) -> Option<TextureKey> {

@@ -1,0 +1,89 @@
+//! What measurements share: baking in a temporary folder, and time that other programs do not disturb.
+#![forbid(unsafe_code)]
+
+use anyhow::Result;
+use pbgi_build::{BuildOptions, SortedStream, StreamError, StreamSummary, build_octree};
+use pbgi_cloud::{SliceSource, Surfel, SurfelSource};
+use pbgi_math::MortonCode;
+use pbgi_scene::{DiceOptions, DicedScene, Scene, Spacing, TwoSided};
+use pbgi_sort::{SortOptions, SortedSurfels, sort_surfels};
+use pbgi_store::{Octree, OpenOptions};
+use std::path::Path;
+use std::time::Instant;
+
+struct Stream(SortedSurfels);
+
+impl SortedStream for Stream {
+    fn read_chunk(&mut self, out: &mut Vec<(MortonCode, Surfel)>) -> Result<bool, StreamError> {
+        Ok(self.0.read_chunk(out)?)
+    }
+}
+
+/// Bakes surfels to `path` and opens the file with a gibibyte of cache.
+///
+/// # Errors
+///
+/// If a step fails.
+pub fn bake(surfels: &[Surfel], path: &Path) -> Result<Octree> {
+    let sorted = sort_surfels(&mut SliceSource::new(surfels), &SortOptions::default())?;
+    let facts = *sorted.summary();
+    let summary = StreamSummary {
+        root: facts.root,
+        origin: facts.origin,
+        surfel_count: facts.count,
+        radius_max: facts.radius_max,
+        area_max: facts.area_max,
+        radiance_max: facts.radiance_max,
+        any_albedo: facts.any_albedo,
+        any_isotropic: facts.any_isotropic,
+        z_up: false,
+    };
+    build_octree(&mut Stream(sorted), &summary, &BuildOptions::default(), path)?;
+    Ok(Octree::open(path, &OpenOptions { cache_bytes: 1 << 30, ..OpenOptions::default() })?)
+}
+
+/// Dices a scene into about `count` surfels.
+///
+/// # Errors
+///
+/// If the scene cannot be diced.
+pub fn dice(scene: &Scene, count: u64) -> Result<Vec<Surfel>> {
+    let options = DiceOptions { spacing: Spacing::Count(count), two_sided: TwoSided::Material };
+    let (mut surfels, mut source) = (Vec::new(), DicedScene::new(scene, options)?);
+    while source.read_chunk(&mut surfels)? {}
+    Ok(surfels)
+}
+
+/// Time of the calling thread: on a processor, where the system tells, else on the wall.
+#[derive(Clone, Copy, Debug)]
+pub struct ThreadTimer {
+    start: Instant,
+    processor_ns: Option<u64>,
+}
+
+impl ThreadTimer {
+    /// Starts.
+    #[must_use]
+    pub fn start() -> Self {
+        Self { start: Instant::now(), processor_ns: processor_ns() }
+    }
+
+    /// Seconds since then.
+    #[must_use]
+    pub fn seconds(&self) -> f64 {
+        match (self.processor_ns, processor_ns()) {
+            (Some(before), Some(now)) => (now - before) as f64 * 1e-9,
+            _ => self.start.elapsed().as_secs_f64(),
+        }
+    }
+}
+
+/// Nanoseconds the calling thread has run, as Linux counts them.
+fn processor_ns() -> Option<u64> {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
+    text.split_whitespace().next()?.parse().ok()
+}
+
+mod svg;
+
+pub use svg::{Line, plot};

@@ -1,0 +1,206 @@
+//! The environment at every coarseness: a cube map and its means over ever larger texels.
+
+use crate::Environment;
+use pbgi_math::{CubeFace, CubeMap, Vec3, luminance};
+use std::f32::consts::PI;
+
+/// Share of an averaged solid angle that a texel of the level used for it may have: smaller texels follow its outline better.
+const TEXEL_SHARE: f32 = 0.25;
+
+/// Radiance of an environment without its peaks, averaged over solid angles of any size.
+///
+/// Levels halve in edge down to one texel per face; a texel's radiance is the mean of the four below it, weighted by their exact solid
+/// angles, so that all levels have the flux of the image without peaks.
+#[derive(Clone, Debug)]
+pub struct EnvironmentPyramid {
+    /// Texels in the order of [`CubeMap`], finest level first.
+    levels: Vec<(CubeMap, Vec<[f32; 3]>)>,
+    /// Largest luminance of each texel of a level and the eight around it, on whichever face they lie.
+    brightest: Vec<Vec<f32>>,
+}
+
+impl EnvironmentPyramid {
+    /// The pyramid of `environment`, as fine as its image up to `edge_max` texels along a face.
+    #[must_use]
+    pub fn new(environment: &Environment, edge_max: usize) -> Self {
+        // A face spans a quarter of the image's width.
+        let edge = (environment.width() / 4).clamp(1, edge_max.max(1)).next_power_of_two();
+        let mut levels = vec![(CubeMap::new(edge), environment.base_texels(edge))];
+        for _ in 0..edge.trailing_zeros() {
+            let (fine, texels) = &levels[levels.len() - 1];
+            levels.push(coarsen(fine, texels));
+        }
+        let brightest = levels.iter().map(|(map, texels)| spread(map, texels)).collect();
+        Self { levels, brightest }
+    }
+
+    /// Luminance of what lies in a cone around `direction`, of any length, whose half-angle has the squared sine `sin2`, or brightest just
+    /// beside it; W·m⁻²·sr⁻¹.
+    ///
+    /// The level is the finest whose texels are as wide as the cone. Since a texel knows the eight around it, also over the edges of
+    /// faces, light is never lost between texels or levels: it counts at least as the mean over the texel of that level it lies in.
+    #[must_use]
+    #[inline]
+    pub fn brightness(&self, direction: Vec3, sin2: f32) -> f32 {
+        // A texel in the middle of a face spans 2/n; the cone twice its sine.
+        let finest = self.levels[0].0.edge() as f32;
+        let texels2 = sin2 * finest * finest;
+        let level = if texels2 > 1.0 { (0.5 * texels2.log2()).ceil() as usize } else { 0 };
+        let level = level.min(self.levels.len() - 1);
+        self.brightest[level][self.levels[level].0.texel_index(direction)]
+    }
+
+    /// Mean radiance around the unit direction `direction` over about `solid_angle_sr` steradians, W·m⁻²·sr⁻¹.
+    ///
+    /// Linear between texels of a face and between levels; texels at the edges of faces reach over no edge.
+    #[must_use]
+    pub fn radiance(&self, direction: Vec3, solid_angle_sr: f32) -> [f32; 3] {
+        let finest = self.levels[0].0.edge() as f32;
+        let texel_sr = 4.0 * PI / 6.0 / (finest * finest);
+        let depth = 0.5 * (solid_angle_sr * TEXEL_SHARE / texel_sr).max(1.0).log2();
+        let last = self.levels.len() - 1;
+        let depth = depth.min(last as f32);
+        let (level, share) = (depth as usize, depth.fract());
+        let fine = self.sample(level, direction);
+        if share == 0.0 {
+            return fine;
+        }
+        let coarse = self.sample((level + 1).min(last), direction);
+        std::array::from_fn(|c| fine[c] + (coarse[c] - fine[c]) * share)
+    }
+
+    /// Radiance of a level, linear between the middles of texels.
+    fn sample(&self, level: usize, direction: Vec3) -> [f32; 3] {
+        let (map, texels) = &self.levels[level];
+        let n = map.edge();
+        let (face, u, v) = CubeFace::from_direction(direction);
+        let place = |x: f32| ((x + 1.0) * 0.5 * n as f32 - 0.5).clamp(0.0, (n - 1) as f32);
+        let (x, y) = (place(u), place(v));
+        let (column, row) = (x as usize, y as usize);
+        let (right, below) = ((column + 1).min(n - 1), (row + 1).min(n - 1));
+        let (fx, fy) = (x.fract(), y.fract());
+        let at = |row: usize, column: usize| &texels[(usize::from(face.0) * n + row) * n + column];
+        let (a, b, c, d) = (at(row, column), at(row, right), at(below, column), at(below, right));
+        std::array::from_fn(|k| {
+            let top = a[k] + (b[k] - a[k]) * fx;
+            let bottom = c[k] + (d[k] - c[k]) * fx;
+            top + (bottom - top) * fy
+        })
+    }
+}
+
+/// For each texel the largest luminance among itself and those around it.
+fn spread(map: &CubeMap, texels: &[[f32; 3]]) -> Vec<f32> {
+    let n = map.edge();
+    let step = 2.0 / n as f32;
+    let largest = |index: usize| {
+        let face = CubeFace((index / (n * n)) as u8);
+        let middle = |i: usize| (i as f32 + 0.5) * step - 1.0;
+        let (u, v) = (middle(index % n), middle(index / n % n));
+        let around = (0..9).map(|i| {
+            let shift = |i: i32| (i - 1) as f32 * step;
+            // Beyond its edge, the plane of a face shows what lies on the next.
+            let beside = face.direction(u + shift(i % 3), v + shift(i / 3));
+            luminance(texels[map.texel_index(beside)])
+        });
+        around.fold(0.0, f32::max)
+    };
+    (0..texels.len()).map(largest).collect()
+}
+
+/// Means of four texels each.
+fn coarsen(fine: &CubeMap, texels: &[[f32; 3]]) -> (CubeMap, Vec<[f32; 3]>) {
+    let n = fine.edge();
+    let coarse = CubeMap::new(n / 2);
+    let mean = |index: usize| {
+        let (column, row, face) = (index % (n / 2), index / (n / 2) % (n / 2), index * 4 / (n * n));
+        let (mut sum, mut total) = ([0.0f64; 3], 0.0f64);
+        for part in 0..4 {
+            let child = (face * n + 2 * row + part / 2) * n + 2 * column + part % 2;
+            let solid_angle = f64::from(fine.texel(child).solid_angle_sr);
+            total += solid_angle;
+            for (sum, light) in sum.iter_mut().zip(texels[child]) {
+                *sum += f64::from(light) * solid_angle;
+            }
+        }
+        sum.map(|sum| (sum / total) as f32)
+    };
+    (coarse, (0..coarse.texel_count()).map(mean).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::EnvironmentOptions;
+    use crate::test_images::sphere;
+    use pbgi_image::RgbImage;
+
+    /// Dark but for one pixel, which stays in the base.
+    fn one_pixel(width: usize, bright: usize) -> Environment {
+        let mut pixels = vec![[1.0; 3]; width * width / 2];
+        pixels[bright] = [500.0, 400.0, 300.0];
+        let image = RgbImage { width, height: width / 2, pixels };
+        let options = EnvironmentOptions { peaks: false, ..EnvironmentOptions::default() };
+        Environment::from_image(image, options).unwrap()
+    }
+
+    #[test]
+    fn every_level_has_the_flux_of_the_image() {
+        let pyramid = EnvironmentPyramid::new(&one_pixel(256, 40 * 256 + 31), 64);
+        let flux = |(map, texels): &(CubeMap, Vec<[f32; 3]>)| -> f64 {
+            let of = |i: usize| f64::from(map.texel(i).solid_angle_sr) * f64::from(texels[i][1]);
+            (0..texels.len()).map(of).sum()
+        };
+        let finest = flux(&pyramid.levels[0]);
+        assert_eq!(pyramid.levels.len(), 7);
+        for level in &pyramid.levels {
+            assert!((flux(level) / finest - 1.0).abs() < 1e-5);
+        }
+    }
+
+    /// A sun of one pixel in the corner of a face counts from all three faces, at every level and however large the cone that holds it.
+    #[test]
+    fn a_sun_in_the_corner_of_a_face_is_never_lost() {
+        let width = 256;
+        // Of all pixels the one nearest to the corner (1, 1, 1).
+        let grid = crate::lat_long::LatLong::new(width, width / 2, [Vec3::X, Vec3::Y, Vec3::Z]);
+        let corner = Vec3::ONE.normalize();
+        let toward = |i: &usize| grid.center(*i).dot(corner);
+        let pixel = (0..width * width / 2).max_by(|a, b| toward(a).total_cmp(&toward(b))).unwrap();
+        let environment = one_pixel(width, pixel);
+        let pyramid = EnvironmentPyramid::new(&environment, 64);
+        let sun = grid.center(pixel);
+        for d in sphere(20_000) {
+            let chord = (d - sun).length();
+            for sine in [0.002f32, 0.01, 0.05, 0.2, 0.5] {
+                if chord > sine {
+                    continue;
+                }
+                let found = pyramid.brightness(d * 7.0, sine * sine);
+                // At least the mean over a texel at most four times as wide as the cone, or of the finest.
+                let texel = (8.0 * sine).max(2.0 / 64.0).powi(2);
+                let pixel_sr = 2.0 * PI * PI / (width * width / 2) as f32 * corner.y.acos().sin();
+                let least = 400.0 * (pixel_sr / texel).min(1.0) * 0.2;
+                assert!(found > 1.0 + least.min(100.0) * 0.5, "{d} {sine}: {found} {least}");
+            }
+        }
+        // Far away there is nothing but sky.
+        assert!((pyramid.brightness(Vec3::NEG_ONE, 1e-4) - 1.0).abs() < 1e-3);
+    }
+
+    #[test]
+    fn small_solid_angles_show_the_image_and_large_ones_its_mean() {
+        let environment = one_pixel(256, 40 * 256 + 31);
+        let pyramid = EnvironmentPyramid::new(&environment, 64);
+        for d in sphere(300) {
+            let found = pyramid.radiance(d, 1e-6)[0];
+            // The lamp spreads over the texels around it, no further.
+            let near = environment.radiance(d)[0] > 1.0 || found > 1.0;
+            assert!((found - 1.0).abs() < 1e-3 || near, "{d}: {found}");
+            let mean = pyramid.radiance(d, 4.0 * PI)[0];
+            assert!(mean > 0.99 && mean < 1.5);
+        }
+        let uniform = EnvironmentPyramid::new(&Environment::uniform([3.0; 3]), 64);
+        assert!((uniform.radiance(Vec3::X, 0.1)[2] - 3.0).abs() < 1e-5);
+    }
+}

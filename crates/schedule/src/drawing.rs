@@ -1,0 +1,116 @@
+//! Surfels and pieces of clusters as shapes that rasters draw.
+
+use pbgi_cut::{Cluster, Piece, SurfelSeen};
+use pbgi_format::LeafSurfel;
+use pbgi_math::Vec3;
+use pbgi_raster::{Disk, Ink, Section, Tile, Veil};
+use std::f32::consts::FRAC_1_PI;
+
+/// Disks that lie along the receiver's own surface are not hit nearer than this many radii: the
+/// neighbors of a point on a curved surface stand above its tangent plane, though the surface does not.
+const OWN_SURFACE_RADII: f32 = 2.0;
+
+/// Cosine between normals above which a near disk counts as the receiver's own surface.
+const OWN_SURFACE_COSINE: f32 = 0.7;
+
+/// Least distance at which a disk is hit, so that a surface does not shadow itself.
+#[inline(always)]
+pub(crate) fn least_distance(surfel: &LeafSurfel, normal: Vec3) -> f32 {
+    let own = !surfel.isotropic && surfel.normal.dot(normal) > OWN_SURFACE_COSINE;
+    if own { OWN_SURFACE_RADII * surfel.radius } else { 0.0 }
+}
+
+/// Radius of a solid surfel's disk over that of the disk of its area: covers a square lattice. Surfels at the edges of boxes and
+/// boards know their rectangle and are not drawn as disks.
+const SOLID_RESERVE: f32 = 1.25;
+
+/// The same for sheets, whose edges are many: covering disks reach out of every edge of a leaf by a fifth of a
+/// micropolygon, which blocks a quarter too much in foliage. At 1.1 a fortieth of a square lattice stays open.
+const SHEET_RESERVE: f32 = 1.1;
+
+/// Covering radius over area-true radius from which on a surfel is a needle: its disk keeps the covering radius and becomes
+/// transparent instead.
+const NEEDLE_RATIO: f32 = 2.2;
+
+/// The same for the edges of a surfel's rectangle: rounding and the codes' errors leave no gap between neighbors.
+const TILE_RESERVE: f32 = 1.02;
+
+/// Share of a piece's extent by which planes of neighbors on the same surface may lie before its own and not hide it.
+const NEIGHBOR_DEPTH: f32 = 0.15;
+
+/// How much nearer, as a share of the distance, neighbors may be: of a piece with this extent over its distance, seen at this
+/// cosine. Where the plane is seen at a grazing angle, a small step along its normal is a long one along the line of sight.
+#[inline(always)]
+pub(crate) fn neighbor_tolerance(spread: f32, cosine: f32) -> f32 {
+    spread * if cosine > NEIGHBOR_DEPTH { NEIGHBOR_DEPTH / cosine } else { 1.0 }
+}
+
+/// Area that a surfel shows along its normal; an isotropic one half of its own in every direction.
+#[inline(always)]
+pub(crate) fn shown_area(surfel: &LeafSurfel) -> f32 {
+    if surfel.isotropic { 0.5 * surfel.area } else { surfel.area }
+}
+
+/// The disk a surfel is drawn as, and its opacity. An isotropic one turns to the receiver.
+#[inline(always)]
+pub(crate) fn surfel_disk(seen: &SurfelSeen, receiver_normal: Vec3) -> (Disk, Vec3, f32) {
+    let surfel = &seen.surfel;
+    let area_true = (shown_area(surfel) * FRAC_1_PI).sqrt();
+    let is_sheet = surfel.front_only || surfel.isotropic;
+    let reserve = if is_sheet { SHEET_RESERVE } else { SOLID_RESERVE };
+    let (mut radius, mut opacity) = (surfel.radius.min(reserve * area_true), 1.0);
+    if surfel.radius > NEEDLE_RATIO * area_true {
+        radius = surfel.radius;
+        opacity = (SHEET_RESERVE * area_true / radius).powi(2);
+    }
+    let normal = if surfel.isotropic {
+        surfel.center * (-1.0 / seen.distance2.sqrt())
+    } else {
+        surfel.normal
+    };
+    let inverse = normal * (1.0 / normal.dot(surfel.center));
+    let distance_min = least_distance(surfel, receiver_normal);
+    (Disk { inverse, center: surfel.center, radius, distance_min }, normal, opacity)
+}
+
+/// The rectangle a surfel is drawn as, if it knows one.
+#[inline(always)]
+pub(crate) fn surfel_tile(seen: &SurfelSeen, receiver_normal: Vec3) -> Option<Tile> {
+    let surfel = &seen.surfel;
+    surfel.tile.is_known().then(|| Tile {
+        inverse: surfel.normal * (1.0 / surfel.normal.dot(surfel.center)),
+        center: surfel.center,
+        edges: surfel.tile.edges(surfel.normal),
+        half: surfel.half_edges().map(|half| half * TILE_RESERVE),
+        distance_min: least_distance(surfel, receiver_normal),
+    })
+}
+
+/// Whether a surfel covers anything: neither seen along its edge nor from behind where only its front is.
+#[inline(always)]
+pub(crate) fn blocks(seen: &SurfelSeen) -> bool {
+    let surfel = &seen.surfel;
+    let height = surfel.normal.dot(surfel.center);
+    surfel.isotropic || height < 0.0 || (height > 0.0 && !surfel.front_only)
+}
+
+/// How a surfel, drawn with this normal, opacity and extent, covers and shines.
+#[inline(always)]
+pub(crate) fn surfel_ink(seen: &SurfelSeen, normal: Vec3, opacity: f32, extent: f32) -> Ink {
+    let surfel = &seen.surfel;
+    let distance = seen.distance2.sqrt();
+    let cosine = normal.dot(surfel.center) * (-1.0 / distance);
+    Ink {
+        veil: Veil { start: 0.0, end: opacity, seed: seen.seed },
+        solid_angle: shown_area(surfel) * cosine.abs() / seen.distance2,
+        radiance: if cosine > 0.0 { surfel.radiance } else { [0.0; 3] },
+        tolerance: neighbor_tolerance(extent / distance, cosine.abs()),
+    }
+}
+
+/// Where a piece of a cluster lies, and which share of it is there.
+#[inline(always)]
+pub(crate) fn piece_shape(cluster: &Cluster, piece: &Piece) -> (Section, Veil) {
+    let section = Section { inverse: piece.inverse, low: cluster.low, high: cluster.high };
+    (section, Veil { start: piece.start, end: piece.end, seed: cluster.seed })
+}
