@@ -1,6 +1,7 @@
-//! Chores of the workspace: `cargo xtask tidy`, `cargo xtask bless`, `cargo xtask ci`.
+//! Chores of the workspace: `cargo xtask tidy`, `cargo xtask bless`, `cargo xtask billion`, `cargo xtask ci`.
 #![forbid(unsafe_code)]
 
+mod billion;
 mod bless;
 mod ci;
 mod crate_roots;
@@ -18,6 +19,8 @@ Usage: cargo xtask COMMAND
   tidy            check crate edges, crate roots, texts and the layout lock (seconds)
   bless layout    record the layout of today's crates/format in docs/format.md
   bless golden    rewrite the golden octree file and its dump in docs/format.md
+  billion [SURFELS [FOLDER]]
+                  bake, verify and shade a street of so many surfels (1G) in a folder (.); 60 GB of disk (minutes)
   ci              run every check, as .ci/run does (minutes)
 ";
 
@@ -28,6 +31,9 @@ fn main() -> ExitCode {
         ["tidy"] => tidy(&workspace),
         ["bless", "layout"] => bless::bless_layout(&workspace),
         ["bless", "golden"] => bless::bless_golden(&workspace),
+        ["billion"] => billion::run(&workspace, "1G", "."),
+        ["billion", surfels] => billion::run(&workspace, surfels, "."),
+        ["billion", surfels, folder] => billion::run(&workspace, surfels, folder),
         ["ci"] => ci::run(&workspace),
         ["-h" | "--help"] => {
             print!("{USAGE}");

@@ -6,14 +6,14 @@ use crate::bake_report::{BakeReport, BytesPerSurfel, PhaseReport};
 use crate::bake_request::{BakeRequest, NormalsChoice};
 use crate::input::Inputs;
 use crate::memory::{peak_resident_bytes, process_use};
-use crate::output_path::temporary_path;
+use crate::output_path::{folder_of, free_bytes, temporary_path};
 use crate::progress::{Phase, Progress, format_bytes};
 use crate::relight::{EmissionPieces, Light, PassSettings, RelitStream, check_canceled};
 use pbgi_build::{
     BuildOptions, BuildReport, ChannelChoice, StreamSummary, build_octree,
     build_octree_from_pieces, remove_unfinished,
 };
-use pbgi_cloud::SurfelSource;
+use pbgi_cloud::{Surfel, SurfelSource};
 use pbgi_light::UpAxis;
 use pbgi_math::Vec3;
 use pbgi_sort::{
@@ -82,6 +82,9 @@ pub fn bake(
     Ok(baker.finish(&build, start))
 }
 
+/// Bytes an output's surfel usually takes.
+const OUTPUT_SURFEL_BYTES: u64 = 20;
+
 /// A bake under way.
 struct Baker<'a> {
     request: &'a BakeRequest,
@@ -117,6 +120,9 @@ impl<'a> Baker<'a> {
             self.memory.threads,
             self.request.temp_dir().display()
         ));
+        if let Some(count) = source.count() {
+            self.state_disk_space(count, budget_bytes);
+        }
         let phases = SortPhases::new(self.progress, source.count());
         let report_progress = |p: SortProgress| phases.show(p);
         let options =
@@ -140,6 +146,33 @@ impl<'a> Baker<'a> {
         self.report.sorted_runs = sorted.run_count() as u64;
         self.end_phase("sort", start, count);
         Ok(sorted)
+    }
+
+    /// Says how much room temporary files and output will need, and warns where there is less.
+    fn state_disk_space(&mut self, surfels: u64, sort_bytes: u64) {
+        let held = surfels.saturating_mul(size_of::<Surfel>() as u64) <= sort_bytes;
+        let temporary = if held && !self.request.resume {
+            0
+        } else {
+            surfels.saturating_mul(size_of::<Surfel>() as u64)
+        };
+        let output = surfels.saturating_mul(OUTPUT_SURFEL_BYTES);
+        let (temp_dir, folder) = (self.request.temp_dir(), folder_of(&self.request.output));
+        let free = free_bytes(&temp_dir).zip(free_bytes(folder));
+        let shown_free = free.map_or(String::new(), |(temp, output)| {
+            format!(" ({} and {} are free)", format_bytes(temp), format_bytes(output))
+        });
+        self.progress.note(&format!(
+            "disk space: at most {} for temporary files, given back as they are read, and about {} for the output{shown_free}",
+            format_bytes(temporary),
+            format_bytes(output),
+        ));
+        if free.is_some_and(|(temp, room)| temp < temporary || room < output) {
+            self.report.warnings.push(
+                "the disk may become full; should it, nothing half-written stays (--temp-dir names another for temporary files)"
+                    .to_owned(),
+            );
+        }
     }
 
     fn sort_options(&self, budget_bytes: u64) -> SortOptions<'_> {

@@ -12,6 +12,12 @@ pub(crate) fn folder_of(path: &Path) -> &Path {
     }
 }
 
+/// Bytes free to users in the file system of a folder; none where the system does not tell.
+pub(crate) fn free_bytes(folder: &Path) -> Option<u64> {
+    let stat = rustix::fs::statvfs(folder).ok()?;
+    Some(stat.f_bavail.saturating_mul(stat.f_frsize))
+}
+
 /// Refuses an output that cannot or should not be written, before any long work.
 ///
 /// # Errors
