@@ -385,16 +385,16 @@ impl<'a> Dump<'a> {
         let lobe_bytes = if self.is_rgb() { 12 } else { 8 };
         let mut at = 32;
         while at < u32_at(page, 12) as usize {
-            let (octants, leaves, lobes) = (page[at + 40], page[at + 41], page[at + 42]);
+            let (octants, leaves, lobes) = (page[at + 38], page[at + 39], page[at + 40]);
             let children = octants.count_ones() as usize;
             for (child, octant) in (0..8).filter(|o| octants >> o & 1 != 0).enumerate() {
-                let link = u32_at(page, at + 44 + 4 * child);
+                let link = u32_at(page, at + 41 + 4 * child);
                 if leaves >> octant & 1 != 0 {
                     let of_page = self.leaves.entry(number - u32_at(page, 8) as usize).or_default();
                     of_page.insert((link >> 8) as usize, (link & 255) as usize);
                 }
             }
-            at += (44 + 11 * children).next_multiple_of(4) + usize::from(lobes) * lobe_bytes;
+            at += (41 + 11 * children).next_multiple_of(4) + usize::from(lobes) * lobe_bytes;
         }
     }
 
@@ -423,14 +423,13 @@ impl<'a> Dump<'a> {
         self.show_vec3("box, smallest corner");
         self.show_vec3("box, largest corner");
         self.show_vec3("split point");
-        self.show_f32("cover margin");
+        self.show(2, |b| format!("cover margin {}", f32::from_bits(u32::from(u16_at(b, 0)) << 16)));
         let octants = self.bytes[self.at];
         self.show(1, |b| format!("octants with a child {:08b}", b[0]));
         let leaves = self.bytes[self.at];
         self.show(1, |b| format!("octants with a leaf {:08b}", b[0]));
         let lobes = self.bytes[self.at];
         self.show(1, |b| format!("lobes {}", b[0]));
-        self.show(1, |_| "reserved".into());
         let children = octants.count_ones() as usize;
         for octant in (0..8).filter(|o| octants >> o & 1 != 0) {
             let is_leaf = leaves >> octant & 1 != 0;

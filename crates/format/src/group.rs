@@ -1,13 +1,13 @@
 //! Groups: an inner node with what is stored of its children.
 
-use crate::{Channels, FormatError, Lobe, MiniFloat, read_f32, read_u32};
+use crate::{Channels, FormatError, Lobe, MiniFloat, read_f32, read_u16, read_u32};
 use pbgi_math::{Aabb, Vec3};
 
 /// Most children of a group: the octants of its cell.
 pub const CHILDREN_MAX: usize = 8;
 
 /// Bytes of a group before its links.
-pub const GROUP_FIXED_BYTES: usize = 44;
+pub const GROUP_FIXED_BYTES: usize = 41;
 
 const EXTERNAL: u32 = 1 << 31;
 const LEAF_COUNT_BITS: u32 = 8;
@@ -81,7 +81,7 @@ pub struct GroupFields {
     pub bounds: Aabb,
     /// Center of the octree cell: where its octants meet.
     pub split: Vec3,
-    /// How far covering disks reach out of the stored boxes of the children at most.
+    /// How far covering disks reach out of the stored boxes of the children at most. Stored as at most one part in 128 more.
     pub cover_margin: f32,
     /// Octants that have a child; children are stored in octant order.
     pub octants: u8,
@@ -114,10 +114,12 @@ pub fn write_group(
             out.extend_from_slice(&c.to_le_bytes());
         }
     }
-    out.extend_from_slice(&fields.cover_margin.to_le_bytes());
+    // The upper half of a float, rounded up: no disk reaches farther.
+    let margin = fields.cover_margin.to_bits().div_ceil(1 << 16) as u16;
+    out.extend_from_slice(&margin.to_le_bytes());
     let lobe_count: usize = children.iter().map(|c| c.2.len()).sum();
     assert!(lobe_count <= CHILDREN_MAX * crate::LOBES_MAX, "at most four lobes per child");
-    out.extend_from_slice(&[fields.octants, fields.leaves, lobe_count as u8, 0]);
+    out.extend_from_slice(&[fields.octants, fields.leaves, lobe_count as u8]);
     for (link, ..) in children {
         let code = match *link {
             ChildLink::Group(offset) => {
@@ -174,8 +176,8 @@ impl<'a> GroupView<'a> {
         if offset < crate::NODE_PAGE_HEADER_BYTES || offset + GROUP_FIXED_BYTES > groups_end {
             return Err(FormatError::new("group: offset", offset, "a place inside its page"));
         }
-        let child_count = page[offset + 40].count_ones() as usize;
-        let lobe_count = usize::from(page[offset + 42]);
+        let child_count = page[offset + 38].count_ones() as usize;
+        let lobe_count = usize::from(page[offset + 40]);
         let bytes = group_bytes(child_count, lobe_count, channels);
         if child_count == 0 || lobe_count < child_count || offset + bytes > groups_end {
             return Err(FormatError::new(
@@ -214,9 +216,9 @@ impl<'a> GroupView<'a> {
         GroupFields {
             bounds: Aabb { min: v(0), max: v(12) },
             split: v(24),
-            cover_margin: read_f32(self.bytes, 36),
-            octants: self.bytes[40],
-            leaves: self.bytes[41],
+            cover_margin: f32::from_bits(u32::from(read_u16(self.bytes, 36)) << 16),
+            octants: self.bytes[38],
+            leaves: self.bytes[39],
         }
     }
 
@@ -323,7 +325,10 @@ mod tests {
             let view = GroupView::new(&page, page.len(), 32, channels).unwrap();
             assert_eq!(view.stored_bytes(), page.len() - 32);
             assert_eq!(view.stored_bytes(), group_bytes(3, 4, channels));
-            assert_eq!(view.fields(), fields);
+            let stored = view.fields();
+            assert_eq!(GroupFields { cover_margin: fields.cover_margin, ..stored }, fields);
+            let more = stored.cover_margin / fields.cover_margin;
+            assert!((1.0..=1.0 + 1.0 / 128.0).contains(&more), "{more}");
             for (i, child) in children.iter().enumerate() {
                 assert_eq!(view.link(i, i == 2), child.0);
                 let slack = fields.bounds.extent() * (0.501 / 255.0);

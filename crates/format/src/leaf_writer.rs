@@ -17,18 +17,21 @@ struct StepsPerEdge {
     least: f32,
 }
 
-/// Steps across surfaces: what stands a hundredth of an edge before a wall must stay there.
+/// Steps across a plane: what stands a hundredth of an edge before a wall must stay there.
 const ACROSS: StepsPerEdge = StepsPerEdge { tile: 256.0, mean: 128.0, least: 32.0 };
 
-/// Steps along a surface, where neighbors overlap.
+/// Steps along the axes of the world, where surfaces have several normals.
+const MIXED: StepsPerEdge = StepsPerEdge { tile: 256.0, mean: 64.0, least: 32.0 };
+
+/// Steps along a plane, where neighbors overlap.
 const ALONG: StepsPerEdge = StepsPerEdge { tile: 64.0, mean: 32.0, least: 16.0 };
 
 /// Share of a step below which coordinates count as one.
 const SHARED_STEP: f32 = 0.25;
 
-/// Steps of sizes are so many bits above those of [`crate::MiniFloat`]: ±1.6 %, of rectangles, which must meet, ±0.2 %.
+/// Steps of sizes are so many bits above those of [`crate::MiniFloat`]: ±1.6 %, of rectangles, which must meet, ±0.4 %.
 const DISK_SIZE_SHIFT: u32 = 4;
-const TILE_SIZE_SHIFT: u32 = 1;
+const TILE_SIZE_SHIFT: u32 = 2;
 
 /// Ratios of radius and area within this share are one.
 const SIZE_RATIO_TOLERANCE: f32 = 1.0 / 128.0;
@@ -407,7 +410,6 @@ impl LeafWriter {
         let step = |steps: &StepsPerEdge| {
             (mean / steps.mean).min(least / steps.least).min(tile / steps.tile)
         };
-        let (across, along) = (step(&ACROSS), step(&ALONG));
         std::array::from_fn(|axis| {
             let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
             for surfel in &self.surfels {
@@ -416,9 +418,9 @@ impl LeafWriter {
             }
             let (range, extent) = ((low, high), 2.0 * places.half[axis]);
             match (is_plane, axis) {
-                (true, 2) => Axis::fit_heights(range, extent, across),
-                (true, _) => Axis::fit(range, extent, along),
-                _ => Axis::fit(range, extent, across),
+                (true, 2) => Axis::fit_heights(range, extent, step(&ACROSS)),
+                (true, _) => Axis::fit(range, extent, step(&ALONG)),
+                _ => Axis::fit(range, extent, step(&MIXED)),
             }
         })
     }
