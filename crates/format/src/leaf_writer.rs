@@ -21,7 +21,7 @@ struct StepsPerEdge {
 const ACROSS: StepsPerEdge = StepsPerEdge { tile: 256.0, mean: 128.0, least: 32.0 };
 
 /// Steps along the axes of the world, where surfaces have several normals.
-const MIXED: StepsPerEdge = StepsPerEdge { tile: 128.0, mean: 64.0, least: 32.0 };
+const MIXED: StepsPerEdge = StepsPerEdge { tile: 256.0, mean: 64.0, least: 32.0 };
 
 /// Steps along a plane, where neighbors overlap.
 const ALONG: StepsPerEdge = StepsPerEdge { tile: 64.0, mean: 32.0, least: 16.0 };
@@ -29,9 +29,9 @@ const ALONG: StepsPerEdge = StepsPerEdge { tile: 64.0, mean: 32.0, least: 16.0 }
 /// Share of a step below which coordinates count as one.
 const SHARED_STEP: f32 = 0.25;
 
-/// Steps of sizes are so many bits above those of [`crate::MiniFloat`]: ±1.6 %, of rectangles, which must meet, ±0.2 %.
+/// Steps of sizes are so many bits above those of [`crate::MiniFloat`]: ±1.6 %, of rectangles, which must meet, ±0.4 %.
 const DISK_SIZE_SHIFT: u32 = 4;
-const TILE_SIZE_SHIFT: u32 = 1;
+const TILE_SIZE_SHIFT: u32 = 2;
 
 /// Ratios of radius and area within this share are one.
 const SIZE_RATIO_TOLERANCE: f32 = 1.0 / 128.0;
