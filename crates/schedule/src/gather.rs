@@ -223,6 +223,7 @@ impl<'a> Gatherer<'a> {
             count,
             raster: &mut self.lobe.raster,
             lobe,
+            axis: lobe.mirror(),
             normal: receiver.normal,
             lanes: PhantomData,
         };

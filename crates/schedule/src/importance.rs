@@ -214,6 +214,13 @@ impl Threshold for CubeThreshold<'_> {
     }
 }
 
+/// The direction, not of unit length, in which a cone around `toward` whose half-angle is `spread` comes nearest to `axis`.
+#[inline(always)]
+pub(crate) fn nearest_to(axis: Vec3, toward: Vec3, spread: f32) -> Vec3 {
+    let apart = axis - toward;
+    toward + apart * (spread / apart.length().max(1e-6)).min(1.0)
+}
+
 /// Thresholds of a lobe's raster.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LobeThreshold<'a> {
@@ -242,10 +249,9 @@ impl Threshold for LobeThreshold<'_> {
         if self.terms.lobe {
             let inverse = 1.0 / node.distance2.sqrt();
             let (toward, spread) = (node.to_center * inverse, node.radius2.sqrt() * inverse);
-            let apart = self.axis - toward;
-            let nearer = (spread / apart.length().max(1e-6)).min(1.0);
+            let nearest = nearest_to(self.axis, toward, spread);
             // Of a lobe as wide as a hemisphere, the user's solid angle is this share.
-            factor *= self.lobe.share_solid_angle(toward + apart * nearer, 2.0 * PI);
+            factor *= self.lobe.share_solid_angle(nearest, 2.0 * PI);
         }
         slide(self.texel_sr, self.user_sr, factor)
     }

@@ -3,11 +3,12 @@
 use crate::drawing::{
     blocks, neighbor_tolerance, piece_shape, surfel_disk, surfel_ink, surfel_tile,
 };
+use crate::importance::nearest_to;
 use crate::light::PreparedLight;
 use pbgi_brdf::{GgxLobe, LobeDirections, LobePattern};
 use pbgi_cut::{Cluster, CutVisitor, SurfelSeen};
 use pbgi_math::{Aabb, Vec3};
-use pbgi_raster::{Lanes, LobeInk, LobeRaster, SAMPLES, Shape, Veil};
+use pbgi_raster::{Ink, Lanes, LobeInk, LobeRaster, SAMPLES, Shape};
 use std::marker::PhantomData;
 
 /// Directions a piece would meet, by its solid angle, from which on it shines in those it does meet: below, their number says too
@@ -86,6 +87,8 @@ impl LobeScratch {
 pub(crate) struct LobeVisitor<'a, L> {
     pub raster: &'a mut LobeRaster,
     pub lobe: &'a GgxLobe,
+    /// Its mirror direction.
+    pub axis: Vec3,
     /// Directions of the raster.
     pub count: f32,
     pub normal: Vec3,
@@ -93,27 +96,23 @@ pub(crate) struct LobeVisitor<'a, L> {
 }
 
 impl<L: Lanes> LobeVisitor<'_, L> {
-    /// How a piece at `toward` shines: by its solid angle where it is smaller than some directions' share of the lobe.
+    /// How a piece around `toward`, of this radius over its distance, shines: by its solid angle where it is smaller than some directions'
+    /// share of the lobe even where it comes nearest to the mirror direction.
     #[inline(always)]
-    fn ink(
-        &self,
-        veil: Veil,
-        tolerance: f32,
-        radiance: [f32; 3],
-        solid_angle: f32,
-        toward: Vec3,
-    ) -> LobeInk {
-        let ink = LobeInk { veil, tolerance, radiance, reflected: [0.0; 3] };
+    fn ink(&self, ink: &Ink, spread: f32, toward: Vec3) -> LobeInk {
+        let Ink { veil, tolerance, radiance, solid_angle } = *ink;
+        let counted = LobeInk { veil, tolerance, radiance, reflected: [0.0; 3] };
         if radiance == [0.0; 3] {
-            return ink;
+            return counted;
         }
         let from = toward * (1.0 / toward.length());
-        if solid_angle > COUNTED_DIRECTIONS * self.lobe.share_solid_angle(from, self.count) {
-            return ink;
+        let nearest = nearest_to(self.axis, from, spread);
+        if solid_angle > COUNTED_DIRECTIONS * self.lobe.share_solid_angle(nearest, self.count) {
+            return counted;
         }
         let reflect = self.lobe.reflect(from);
         let reflected = std::array::from_fn(|c| radiance[c] * reflect[c] * solid_angle);
-        LobeInk { radiance: [0.0; 3], reflected, ..ink }
+        LobeInk { radiance: [0.0; 3], reflected, ..counted }
     }
 
     #[inline(always)]
@@ -134,9 +133,14 @@ impl<L: Lanes> CutVisitor for LobeVisitor<'_, L> {
     fn take_cluster(&mut self, cluster: &Cluster) {
         for piece in cluster.pieces() {
             let (section, veil) = piece_shape(cluster, piece);
-            let tolerance = neighbor_tolerance(cluster.spread, piece.cosine);
             let toward = (cluster.low + cluster.high) * 0.5;
-            let ink = self.ink(veil, tolerance, piece.radiance, piece.solid_angle, toward);
+            let ink = Ink {
+                veil,
+                solid_angle: piece.solid_angle,
+                radiance: piece.radiance,
+                tolerance: neighbor_tolerance(cluster.spread, piece.cosine),
+            };
+            let ink = self.ink(&ink, cluster.spread, toward);
             self.raster.draw::<L, _>(&section, &ink, toward);
         }
     }
@@ -147,15 +151,16 @@ impl<L: Lanes> CutVisitor for LobeVisitor<'_, L> {
             return;
         }
         let toward = seen.surfel.center;
+        let spread = seen.surfel.radius / seen.distance2.sqrt();
         if let Some(tile) = surfel_tile(seen, self.normal) {
             let ink = surfel_ink(seen, seen.surfel.normal, 1.0, tile.half[0]);
-            let ink = self.ink(ink.veil, ink.tolerance, ink.radiance, ink.solid_angle, toward);
+            let ink = self.ink(&ink, spread, toward);
             self.draw_surfel(&tile, &tile.bounds(), &ink, toward);
             return;
         }
         let (disk, normal, opacity) = surfel_disk(seen, self.normal);
         let ink = surfel_ink(seen, normal, opacity, disk.radius);
-        let ink = self.ink(ink.veil, ink.tolerance, ink.radiance, ink.solid_angle, toward);
+        let ink = self.ink(&ink, spread, toward);
         let bounds = Aabb::from_disk(disk.center, normal, disk.radius);
         self.draw_surfel(&disk, &bounds, &ink, toward);
     }

@@ -209,3 +209,52 @@ fn pictures_and_points_do_not_mix() {
     let message = fail(2, &[text(&octree), "--surfels", "--scene", SCENE, "-o", "x.ply"]);
     assert!(message.contains("--scene"), "{message}");
 }
+
+#[test]
+fn points_reflect_toward_the_eye() {
+    let folder = tempfile::tempdir().unwrap();
+    let [input, output] = ["in.ply", "out.ply"].map(|name| folder.path().join(name));
+    let columns = ["x", "y", "z", "nx", "ny", "nz", "roughness", "metalness"];
+    let mut writer = PlyWriter::create(&input, &columns).unwrap();
+    for roughness in [0.05, 0.5] {
+        writer.write_rows(&[0.0, 50.0, 0.0, 0.0, 1.0, 0.0, roughness, 1.0]).unwrap();
+    }
+    writer.finish().unwrap();
+    let octree = octree();
+    let paths = [text(&octree), "--receivers", text(&input), "-o", text(&output), "--force"];
+    let light = ["--env-color", "1,0.5,0", "-q", "--gloss"];
+    let message = fail(2, &[&paths[..], &light].concat());
+    assert!(message.contains("--eye"), "{message}");
+    let eye = [&paths[..], &light, &["--eye", "30,90,0"]].concat();
+    shade(&eye);
+    let table = ReceiverTable::read(&output).unwrap();
+    let red = table.column("specular_indirect_r").unwrap();
+    // A metal of albedo 0.8 under an open sky of radiance 1.
+    assert!((red[0] - 0.8).abs() < 0.01 && (0.7..0.81).contains(&red[1]), "{red:?}");
+    let green = table.column("specular_indirect_g").unwrap();
+    assert!((green[0] - 0.4).abs() < 0.005);
+    // A flag counts more than a column: without a metal, little is reflected.
+    shade(&[&eye[..], &["--metalness", "0"]].concat());
+    let table = ReceiverTable::read(&output).unwrap();
+    assert!(table.column("specular_indirect_r").unwrap()[0] < 0.1);
+    let message = fail(2, &[&eye[..], &["--roughness", "2"]].concat());
+    assert!(message.contains("--roughness is 2"), "{message}");
+}
+
+#[test]
+fn the_target_error_is_met_by_other_receivers_than_those_measured() {
+    let folder = tempfile::tempdir().unwrap();
+    let octree = folder.path().join("room.pbgi");
+    bake_to("demo:room", 20_000, &octree);
+    let output = folder.path().join("out.ply");
+    for (text, target) in [("10%", 0.1), ("3%", 0.03)] {
+        let more = ["--target-error", text, "--check", "150"];
+        let stats = shade_surfels(&octree, &output, "1", &more);
+        let chosen = &stats["target"];
+        assert!(chosen["error"].as_f64().unwrap() <= target, "{chosen}");
+        assert!(chosen["receivers"].as_u64().unwrap() >= 100);
+        assert_eq!(chosen["solid_angle_sr"], stats["solid_angle_sr"]);
+        let found = stats["check"]["rrmse"].as_f64().unwrap();
+        assert!(found <= 1.3 * target, "{target}: {found}");
+    }
+}
