@@ -9,6 +9,9 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
+/// Bytes of rows read at once, at most, unless one row has more.
+const CHUNK_BYTES: usize = 1 << 20;
+
 /// The `vertex` rows of a PLY file as surfels, whatever the order and type of its columns:
 ///
 /// | columns | meaning |
@@ -108,7 +111,9 @@ impl PlyPoints {
     ) -> Result<bool, CloudError> {
         let mut bytes = std::mem::take(&mut self.bytes);
         let mut row = self.reader.row_index();
-        self.reader.fill_rows(CHUNK_SURFELS, &mut bytes)?;
+        // Rows with thousands of columns are read fewer at a time.
+        let rows = CHUNK_SURFELS.min((CHUNK_BYTES / stride.max(1)).max(1));
+        self.reader.fill_rows(rows, &mut bytes)?;
         for bytes in bytes.chunks(BATCH_RECORDS * stride) {
             self.batch.set_len(bytes.len() / stride);
             self.columns.read_binary(&BinaryRows { bytes, stride, big_endian }, &mut self.batch);

@@ -405,7 +405,7 @@ mod tests {
         for version in 0..=2 {
             let bytes = golden_of(version);
             for at in 0..bytes.len() {
-                for flip in [0x01, 0x40, 0x80, 0xff] {
+                for flip in [0x40, 0xff] {
                     let mut damaged = bytes.clone();
                     damaged[at] ^= flip;
                     // Either an error or at most as many points as the file has room for.
