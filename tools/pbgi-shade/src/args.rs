@@ -101,7 +101,7 @@ pub struct ViewArgs {
     /// Area of a micropolygon in pixels
     #[arg(long, value_name = "PIXELS", default_value_t = 1.0, hide_short_help = true)]
     pub shading_rate: f32,
-    /// Pixels of blocks in which surfaces share broad light; 0 shares nothing
+    /// Pixels of blocks that share broad light; 0 shares nothing
     #[arg(long, value_name = "PIXELS", default_value_t = 0)]
     pub share: u32,
 }
@@ -127,7 +127,7 @@ impl ViewArgs {
 
 /// Surfaces that another renderer saw, instead of a picture of our own.
 #[derive(Clone, Debug, Args)]
-#[command(next_help_heading = "G-buffer instead of a picture")]
+#[command(next_help_heading = "Instead of a picture")]
 pub struct GBufferArgs {
     /// EXR of another renderer with positions and normals
     ///
@@ -165,7 +165,7 @@ const PICTURE_FLAGS: [&str; 5] = ["scene", "gbuffer", "camera", "camera_position
 
 /// Which points are shaded instead of a picture.
 #[derive(Clone, Debug, Args)]
-#[command(next_help_heading = "Points instead of a picture")]
+#[command(next_help_heading = "Instead of a picture")]
 pub struct PointArgs {
     /// Points with normals (.ply), or a scan (.las .laz)
     ///
@@ -244,19 +244,21 @@ impl LightArgs {
 
 /// What surfaces reflect glossily.
 #[derive(Clone, Debug, Args)]
-#[command(next_help_heading = "Gloss")]
+#[command(next_help_heading = "Light")]
 pub struct GlossArgs {
-    /// Reflect glossily, by the scene's materials or the points' columns roughness, metalness, specular
+    /// Reflect glossily, by materials of the scene or columns of the points
+    ///
+    /// Columns are called roughness, metalness, specular.
     #[arg(long)]
     pub gloss: bool,
     /// Roughness of everything, 0 to 1, as in glTF; implies --gloss
     #[arg(long, value_name = "R", allow_hyphen_values = true)]
     pub roughness: Option<f32>,
     /// Metalness of everything, 0 to 1; implies --gloss
-    #[arg(long, value_name = "M", allow_hyphen_values = true)]
+    #[arg(long, value_name = "M", allow_hyphen_values = true, hide_short_help = true)]
     pub metalness: Option<f32>,
     /// Strength of the gloss of everything but metals, 0 to 1; implies --gloss
-    #[arg(long, value_name = "S", allow_hyphen_values = true)]
+    #[arg(long, value_name = "S", allow_hyphen_values = true, hide_short_help = true)]
     pub specular: Option<f32>,
 }
 
@@ -273,16 +275,18 @@ impl GlossArgs {
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Quality")]
 pub struct QualityArgs {
-    /// Largest solid angle of a node taken as one, in sr; 0 takes every surfel
+    /// Largest solid angle of a node taken as one, sr
+    ///
+    /// 0 takes every surfel.
     #[arg(long, visible_alias = "maxsolidangle", value_name = "SR",
           default_value_t = ShadeSettings::default().solid_angle_sr)]
     pub solid_angle: f32,
-    /// Choose the solid angle for this cut error, such as 2%, by measuring a sample of receivers first
+    /// Choose the solid angle for this cut error, such as 2%, by a sample
     #[arg(long, value_name = "SHARE", value_parser = parse_share)]
     pub target_error: Option<f64>,
     /// What makes nodes in some directions smaller or larger than in others: some of
     /// env,lobe,cosine,radiance,quality, or all or off
-    #[arg(long, value_name = "TERMS", default_value = "all")]
+    #[arg(long, value_name = "TERMS", default_value = "all", hide_short_help = true)]
     pub importance: ImportanceTerms,
     /// Texels along a face of the cube raster
     #[arg(long, value_name = "N", default_value_t = ShadeSettings::default().raster_edge)]
@@ -291,7 +295,7 @@ pub struct QualityArgs {
     #[arg(long, value_name = "SHARE", default_value_t = ShadeSettings::default().bias,
           hide_short_help = true)]
     pub bias: f32,
-    /// Gather N receivers again without approximation and print the error
+    /// Gather N receivers again, exactly, and print the error
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub check: usize,
 }
