@@ -101,7 +101,7 @@ pub struct ViewArgs {
     /// Area of a micropolygon in pixels
     #[arg(long, value_name = "PIXELS", default_value_t = 1.0, hide_short_help = true)]
     pub shading_rate: f32,
-    /// Pixels of blocks that share broad light; 0 shares nothing
+    /// Blocks of pixels that share broad light; 0 shares none
     #[arg(long, value_name = "PIXELS", default_value_t = 0)]
     pub share: u32,
 }
@@ -172,9 +172,9 @@ pub struct PointArgs {
     /// Other columns of a PLY file pass through. Normals of scans are estimated, and all their points are shaded.
     #[arg(long, value_name = "FILE", conflicts_with_all = PICTURE_FLAGS)]
     pub receivers: Option<PathBuf>,
-    /// Place of the eye that glossy reflections of points are seen from
+    /// Place of the eye that points reflect toward
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_place, allow_hyphen_values = true,
-          conflicts_with_all = PICTURE_FLAGS)]
+          hide_short_help = true, conflicts_with_all = PICTURE_FLAGS)]
     pub eye: Option<[f64; 3]>,
     /// Every surfel of the octree
     #[arg(long, conflicts_with = "receivers", conflicts_with_all = PICTURE_FLAGS)]
@@ -246,12 +246,12 @@ impl LightArgs {
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Light")]
 pub struct GlossArgs {
-    /// Reflect glossily, by materials of the scene or columns of the points
+    /// Reflect glossily, by materials
     ///
-    /// Columns are called roughness, metalness, specular.
+    /// Of the scene, of the G-buffer, or in the columns roughness, metalness and specular of points.
     #[arg(long)]
     pub gloss: bool,
-    /// Roughness of everything, 0 to 1, as in glTF; implies --gloss
+    /// Roughness of everything, 0 to 1; implies --gloss
     #[arg(long, value_name = "R", allow_hyphen_values = true)]
     pub roughness: Option<f32>,
     /// Metalness of everything, 0 to 1; implies --gloss
@@ -281,11 +281,15 @@ pub struct QualityArgs {
     #[arg(long, visible_alias = "maxsolidangle", value_name = "SR",
           default_value_t = ShadeSettings::default().solid_angle_sr)]
     pub solid_angle: f32,
-    /// Choose the solid angle for this cut error, such as 2%, by a sample
+    /// Cut error to choose the solid angle for, such as 2%
+    ///
+    /// A sample of receivers is measured first, and what was chosen is reported.
     #[arg(long, value_name = "SHARE", value_parser = parse_share)]
     pub target_error: Option<f64>,
-    /// What makes nodes in some directions smaller or larger than in others: some of
-    /// env,lobe,cosine,radiance,quality, or all or off
+    /// What makes nodes smaller in some directions than in others
+    ///
+    /// Some of env,lobe,cosine,radiance,quality, or all or off: bright parts of the environment, what a glossy surface reflects
+    /// most of, the cosine of diffuse surfaces, bright nodes, nodes that are pieces of planes.
     #[arg(long, value_name = "TERMS", default_value = "all", hide_short_help = true)]
     pub importance: ImportanceTerms,
     /// Texels along a face of the cube raster
@@ -295,7 +299,7 @@ pub struct QualityArgs {
     #[arg(long, value_name = "SHARE", default_value_t = ShadeSettings::default().bias,
           hide_short_help = true)]
     pub bias: f32,
-    /// Gather N receivers again, exactly, and print the error
+    /// Gather N receivers without approximation, print the error
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub check: usize,
 }
