@@ -59,7 +59,7 @@ mod tests {
     fn buffers_are_aligned_and_carry_what_was_cut() {
         for capacity in [1, 4096, 100_000] {
             let mut buffer = AlignedBuffer::new(capacity);
-            assert!(buffer.capacity() >= capacity && buffer.capacity() % ALIGNMENT == 0);
+            assert!(buffer.capacity() >= capacity && buffer.capacity().is_multiple_of(ALIGNMENT));
             assert_eq!(buffer.aligned().as_ptr().align_offset(ALIGNMENT), 0);
             let last = buffer.capacity() - 3;
             buffer.aligned()[last..].copy_from_slice(&[1, 2, 3]);
