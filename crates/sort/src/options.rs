@@ -18,6 +18,9 @@ const PIECE_SURFELS_MAX: u64 = 1 << 15;
 const PIECE_SURFELS_MIN: u64 = 64;
 /// Bytes of memory for each cell that may be divided early: most cells hold surfels, and waste half a block.
 const BYTES_PER_CELL: u64 = 16 << 10;
+/// Surfels of a run where memory would hold more of them, 128 MiB, and most runs so small.
+const RUN_SURFELS: u64 = 3 << 20;
+const RUNS_MAX: u64 = 256;
 /// Larger read buffers read no faster.
 const READ_BUFFER_BYTES_MAX: u64 = 1 << 20;
 
@@ -146,6 +149,18 @@ impl Plan {
         })
     }
 
+    /// The plan for a cloud of `total` surfels: what goes to disk anyway goes there by smaller runs, which touch less memory.
+    pub fn for_total(self, total: Option<u64>) -> Self {
+        let held = self.held_surfels as u64;
+        match total {
+            Some(total) if total > held => {
+                let run = (total / RUNS_MAX).max(RUN_SURFELS).min(held);
+                Self { held_surfels: run as usize, ..self }
+            }
+            _ => self,
+        }
+    }
+
     /// Bytes of the read buffer of each run.
     pub fn read_buffer_bytes(&self, runs: usize) -> usize {
         (self.read_bytes / runs.max(1) as u64).min(READ_BUFFER_BYTES_MAX) as usize
@@ -180,6 +195,13 @@ mod tests {
                 }
             }
         }
+        let plan = Plan::new(4 << 30, 2).unwrap();
+        let held = plan.held_surfels as u64;
+        for total in [None, Some(1), Some(held)] {
+            assert_eq!(plan.for_total(total), plan);
+        }
+        assert_eq!(plan.for_total(Some(held + 1)).held_surfels as u64, RUN_SURFELS);
+        assert_eq!(plan.for_total(Some(1 << 40)).held_surfels as u64, held);
         assert!(matches!(Plan::new(1000, 1), Err(SortError::BudgetTooSmall { found: 1000, .. })));
     }
 }

@@ -95,7 +95,7 @@ impl<'a> Sorter<'a> {
             true => RootCube { min: Vec3::ZERO, edge: 1.0 },
             false => RootCube::from_bounds(bounds),
         };
-        let mut buckets = Buckets::new(plan.held_surfels);
+        let mut buckets = Buckets::new(plan.for_total(total).held_surfels);
         let trie = Trie::new();
         buckets.reserve_lists(trie.node_count());
         Self {
