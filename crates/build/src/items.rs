@@ -4,7 +4,7 @@ use crate::Piece;
 use crate::error::BuildError;
 use crate::pack::{PendingContent, PendingNode};
 use crate::pages::PageBatch;
-use crate::tree::{Counts, TreeBuilder, TreeSettings};
+use crate::tree::{Counts, TreeBuilder, TreeSettings, octant_len};
 use pbgi_cloud::Surfel;
 use pbgi_math::{MORTON_AXIS_BITS, MortonCode};
 use std::ops::Range;
@@ -74,9 +74,7 @@ fn add_cell(
     }
     let mut start = range.start;
     while start < range.end {
-        let octant = piece.codes[start].octant(level);
-        let rest = &piece.codes[start..range.end];
-        let end = start + rest.partition_point(|code| code.octant(level) == octant);
+        let end = start + octant_len(&piece.codes[start..range.end], level);
         add_cell(piece, settings, start..end, level + 1, items)?;
         start = end;
     }

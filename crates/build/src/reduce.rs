@@ -90,11 +90,15 @@ impl LobeReducer {
         self.candidates[place] = Candidate::new(self.candidates[place].sum);
     }
 
-    /// Adds a lobe of a node with the area `total`, to the first that is the same or as one more. Returns the place.
-    pub fn add(&mut self, lobe: &LobeSum, total: f64) -> usize {
+    fn refresh_stale(&mut self) {
         if let Some(place) = self.stale.take() {
             self.refresh(place);
         }
+    }
+
+    /// Adds a lobe of a node with the area `total`, to the first that is the same or as one more. Returns the place.
+    pub fn add(&mut self, lobe: &LobeSum, total: f64) -> usize {
+        self.refresh_stale();
         let new = Candidate::new(*lobe);
         // Most lobes of a flat piece are parallel; they need no search.
         let near = |kept: &Candidate| kept.loss_with(&new) <= SAME_TOLERANCE * total;
@@ -121,16 +125,14 @@ impl LobeReducer {
     /// Sums lobes until at most [`LOBES_MAX`] remain and no two of them are nearly alike. Greedy: the
     /// pair with the least loss first, ties to the lowest indices.
     pub fn reduce(&mut self, total: f64) -> LobeSums {
-        let mut kept = self.candidates.len();
-        if let Some(place) = self.stale.take() {
-            self.refresh(place);
-        }
-        for i in 0..kept {
+        self.refresh_stale();
+        for i in 0..self.candidates.len() {
             self.find_nearest(i);
         }
-        while kept > 1 {
+        while self.candidates.len() > 1 {
+            let kept = self.candidates.len();
             let mut best = 0;
-            for i in 1..self.candidates.len() {
+            for i in 1..kept {
                 if self.candidates[i].loss < self.candidates[best].loss {
                     best = i;
                 }
@@ -141,7 +143,6 @@ impl LobeReducer {
             }
             let other = self.candidates[best].nearest;
             self.merge(best, other);
-            kept -= 1;
         }
         let mut sums = LobeSums::default();
         for candidate in self.candidates.iter().take(LOBES_MAX) {

@@ -95,7 +95,7 @@ impl<S: PageSink> TreeBuilder<S> {
         let mut start = 0;
         while start < codes.len() {
             let octant = codes[start].octant(level);
-            let end = start + octant_len(&codes[start..], level, octant);
+            let end = start + octant_len(&codes[start..], level);
             children.push((octant, self.build(&codes[start..end], &surfels[start..end])?));
             start = end;
         }
@@ -174,9 +174,10 @@ impl<S: PageSink> TreeBuilder<S> {
     }
 }
 
-/// How many of sorted codes in one cell of `level` lie in its octant `octant`, where the first of them does.
-fn octant_len(codes: &[MortonCode], level: u32, octant: u32) -> usize {
+/// How many of sorted codes in one cell of `level` lie in the octant of it in which the first does.
+pub(crate) fn octant_len(codes: &[MortonCode], level: u32) -> usize {
     const FEW: usize = 16;
+    let octant = codes[0].octant(level);
     let is_inside = |code: &MortonCode| code.octant(level) == octant;
     match codes.iter().take(FEW).position(|code| !is_inside(code)) {
         Some(len) => len,

@@ -75,7 +75,7 @@ const WINDOW_TEXEL_SHARE: f32 = 0.5;
 
 /// Everything one thread needs to gather for receivers, one after the other.
 pub struct Gatherer<'a> {
-    reader: Reader<'a>,
+    walker: Walker<'a>,
     settings: GatherSettings,
     light: Option<&'a PreparedLight>,
     table: ConvolutionTable,
@@ -84,8 +84,6 @@ pub struct Gatherer<'a> {
     lobe: LobeScratch,
     /// What importance weighs brightness by; found by the first gather.
     stakes: Option<Stakes<'a>>,
-    scratch: CutScratch,
-    stats: CutStats,
 }
 
 impl<'a> Gatherer<'a> {
@@ -99,7 +97,7 @@ impl<'a> Gatherer<'a> {
         let table = CubeRasterTable::new(settings.raster_edge);
         let shines = reader.octree().header().channels.count() > 0;
         Self {
-            reader,
+            walker: Walker { reader, scratch: CutScratch::default(), stats: CutStats::default() },
             settings: *settings,
             light,
             raster: CubeRaster::new(&table, shines),
@@ -107,15 +105,13 @@ impl<'a> Gatherer<'a> {
             lobe: LobeScratch::new(settings.lobe_level),
             stakes: None,
             window_raster: WindowRaster::default(),
-            scratch: CutScratch::default(),
-            stats: CutStats::default(),
         }
     }
 
     /// Counts of all gathers so far.
     #[must_use]
     pub fn stats(&self) -> CutStats {
-        self.stats
+        self.walker.stats
     }
 
     /// Gathers for one receiver. The result depends on the octree, the light, the settings and the
@@ -130,7 +126,7 @@ impl<'a> Gatherer<'a> {
 
     #[inline(always)]
     fn gather_kernel<L: Lanes>(&mut self, receiver: &Receiver) -> Result<Shading, StoreError> {
-        let before = self.stats.cut_size();
+        let before = self.walker.stats.cut_size();
         let cut_receiver = CutReceiver {
             position: receiver.position,
             normal: receiver.normal,
@@ -152,7 +148,7 @@ impl<'a> Gatherer<'a> {
                 self.gather_peak::<L>(peak, &cut_receiver, lobe.as_ref(), &mut shading)?;
             }
         }
-        shading.cut_size = (self.stats.cut_size() - before) as u32;
+        shading.cut_size = (self.walker.stats.cut_size() - before) as u32;
         Ok(shading)
     }
 
@@ -168,20 +164,14 @@ impl<'a> Gatherer<'a> {
             normal: receiver.normal,
             lanes: PhantomData,
         };
-        let mut walk = Walk {
-            reader: &mut self.reader,
-            scratch: &mut self.scratch,
-            stats: &mut self.stats,
-            receiver,
-        };
         if terms == ImportanceTerms::OFF {
-            walk.pick(&uniform(self.settings.solid_angle_sr), &mut visitor)?;
+            self.walker.pick(receiver, &uniform(self.settings.solid_angle_sr), &mut visitor)?;
         } else {
             let edge = self.settings.raster_edge as f32;
             let texel_sr = SMALLEST_TEXEL_SR / (edge * edge);
             let (user_sr, normal) = (self.settings.solid_angle_sr, receiver.normal);
             let threshold = CubeThreshold { user_sr, texel_sr, normal, terms, stakes };
-            walk.pick(&threshold, &mut visitor)?;
+            self.walker.pick(receiver, &threshold, &mut visitor)?;
         }
         let base = self.light.map(|l| &l.base);
         let diffuse =
@@ -202,7 +192,7 @@ impl<'a> Gatherer<'a> {
             return Ok(known);
         }
         let sky = self.light.map(|light| &light.pyramid);
-        let surfaces = mean_brightness(&mut self.reader)?;
+        let surfaces = mean_brightness(&mut self.walker.reader)?;
         let stakes = Stakes::new(self.settings.importance, surfaces, sky);
         self.stakes = Some(stakes);
         Ok(stakes)
@@ -219,28 +209,22 @@ impl<'a> Gatherer<'a> {
         let stakes = self.stakes()?;
         self.lobe.start(lobe);
         let (count, texel_sr) = (self.lobe.count(), self.lobe.smallest_solid_angle());
+        let axis = lobe.mirror();
         let mut visitor = LobeVisitor::<L> {
             count,
             raster: &mut self.lobe.raster,
             lobe,
-            axis: lobe.mirror(),
+            axis,
             normal: receiver.normal,
             lanes: PhantomData,
-        };
-        let mut walk = Walk {
-            reader: &mut self.reader,
-            scratch: &mut self.scratch,
-            stats: &mut self.stats,
-            receiver,
         };
         let user_sr = self.settings.solid_angle_sr;
         let terms = self.settings.importance;
         if terms == ImportanceTerms::OFF {
-            walk.pick(&uniform(user_sr), &mut visitor)?;
+            self.walker.pick(receiver, &uniform(user_sr), &mut visitor)?;
         } else {
-            let axis = lobe.mirror();
             let threshold = LobeThreshold { user_sr, texel_sr, lobe, axis, terms, stakes };
-            walk.pick(&threshold, &mut visitor)?;
+            self.walker.pick(receiver, &threshold, &mut visitor)?;
         }
         (shading.reflected, shading.gloss_albedo) = self.lobe.resolve(self.light);
         Ok(())
@@ -273,13 +257,7 @@ impl<'a> Gatherer<'a> {
             normal: receiver.normal,
             lanes: PhantomData,
         };
-        let mut walk = Walk {
-            reader: &mut self.reader,
-            scratch: &mut self.scratch,
-            stats: &mut self.stats,
-            receiver,
-        };
-        walk.pick(&threshold, &mut visitor)?;
+        self.walker.pick(receiver, &threshold, &mut visitor)?;
         for (index, (direction, light)) in peak.texels.iter().enumerate() {
             if !self.window_raster.is_open(index) {
                 continue;
@@ -304,22 +282,23 @@ fn uniform(solid_angle_sr: f32) -> UniformThreshold {
     UniformThreshold::from_sine(sphere_sin2_for_solid_angle(solid_angle_sr).sqrt())
 }
 
-/// What all walks for a receiver share.
-struct Walk<'w, 'a> {
-    reader: &'w mut Reader<'a>,
-    scratch: &'w mut CutScratch,
-    stats: &'w mut CutStats,
-    receiver: &'w CutReceiver,
+/// Picks cuts of one octree, one after the other.
+struct Walker<'a> {
+    reader: Reader<'a>,
+    scratch: CutScratch,
+    stats: CutStats,
 }
 
-impl Walk<'_, '_> {
+impl Walker<'_> {
     #[inline(always)]
     fn pick<T: Threshold, V: CutVisitor>(
         &mut self,
+        receiver: &CutReceiver,
         threshold: &T,
         visitor: &mut V,
     ) -> Result<(), StoreError> {
-        pick_cut(self.reader, self.receiver, threshold, visitor, self.scratch, self.stats)
+        let Self { reader, scratch, stats } = self;
+        pick_cut(reader, receiver, threshold, visitor, scratch, stats)
     }
 }
 
