@@ -16,7 +16,7 @@ fn every_surfel_is_in_the_file_exactly_once() {
         surfels.truncate(count);
         let options = BuildOptions { leaf_surfels_max, page_bytes, ..BuildOptions::default() };
         let (_folder, octree) = bake_and_open(&surfels, &options);
-        let report = octree.verify(|_| {}).unwrap();
+        let report = octree.verify(2, |_| {}).unwrap();
         let total: u64 = report.levels.iter().map(|l| l.surfels).sum();
         assert_eq!(total, count as u64);
         assert!(octree.header().page_bytes_max as usize <= page_bytes);
@@ -89,7 +89,7 @@ fn a_hundred_thousand_surfels_at_one_place_bake() {
     let mut surfels = vec![Surfel::new(Vec3::splat(0.25), Vec3::Y, 0.01, 1e-4); 100_000];
     surfels.extend(random_objects(100, 0.02, 1));
     let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
-    let report = octree.verify(|_| {}).unwrap();
+    let report = octree.verify(2, |_| {}).unwrap();
     assert_eq!(report.levels.iter().map(|l| l.surfels).sum::<u64>(), surfels.len() as u64);
 }
 
@@ -104,7 +104,7 @@ fn both_backends_and_compression_give_the_same_pages() {
         for backend in [Backend::Map, Backend::Read] {
             let options = OpenOptions { backend, ..OpenOptions::default() };
             let octree = Octree::open(&path, &options).unwrap();
-            let mut report = octree.verify(|_| {}).unwrap();
+            let mut report = octree.verify(2, |_| {}).unwrap();
             assert!(!compress || octree.pages().iter().any(|p| p.is_compressed()));
             report.bytes_read = 0;
             reports.push(report);
@@ -135,7 +135,7 @@ fn damage_anywhere_is_named() {
         bytes[at] ^= 0x10;
         std::fs::write(&damaged, bytes).unwrap();
         let result = Octree::open(&damaged, &OpenOptions::default())
-            .and_then(|octree| octree.verify(|_| {}));
+            .and_then(|octree| octree.verify(2, |_| {}));
         // Between pages lies padding that means nothing.
         let padding = at >= 256
             && at < *pages.last().map(|p| &p.end).unwrap()

@@ -10,13 +10,13 @@ mod simulate;
 use anyhow::{Context, Result};
 use clap::Parser;
 use pbgi_store::PageTrace;
-use pbgi_store::policy::{Lru, Policy};
-use policies::{Clock, S3Fifo, TwoQueues};
+use pbgi_store::policy::Lirs;
+use policies::{Clock, Lru, S3Fifo, TwoQueues};
 use serde::Serialize;
 use simulate::{Replay, Seen};
 use std::path::PathBuf;
 
-/// Budgets, as shares of the bytes of all different pages of the trace.
+/// Budgets, as shares of the bytes of all different pages of the trace, or of all pages of the file.
 const BUDGETS: [f64; 4] = [0.01, 0.023, 0.1, 0.29];
 
 /// Replays traces of pbgi-shade --trace-pages with several policies and budgets.
@@ -28,6 +28,9 @@ struct Arguments {
     /// Most pages that a reader pins for itself besides its way down the tree.
     #[arg(long, default_value_t = 64)]
     pins: usize,
+    /// Budgets are shares of the whole file, not of what the trace asks for.
+    #[arg(long)]
+    of_file: bool,
     /// All rows as JSON, to this file.
     #[arg(long)]
     json: Option<PathBuf>,
@@ -54,7 +57,7 @@ fn main() -> Result<()> {
     for path in &arguments.traces {
         let trace = PageTrace::read(path)?;
         let name = path.file_stem().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
-        rows.extend(replay_all(&name, &trace, arguments.pins)?);
+        rows.extend(replay_all(&name, &trace, &arguments)?);
     }
     if let Some(path) = &arguments.json {
         std::fs::write(path, serde_json::to_string_pretty(&rows)?)?;
@@ -63,9 +66,10 @@ fn main() -> Result<()> {
 }
 
 /// Replays a trace with all budgets and policies, and prints a table.
-fn replay_all(name: &str, trace: &PageTrace, pins_max: usize) -> Result<Vec<Row>> {
+fn replay_all(name: &str, trace: &PageTrace, arguments: &Arguments) -> Result<Vec<Row>> {
     let distinct = simulate::distinct(trace);
     let bytes: u64 = distinct.iter().map(|page| u64::from(trace.page_bytes[*page as usize])).sum();
+    let file_bytes: u64 = trace.page_bytes.iter().map(|bytes| u64::from(*bytes)).sum();
     let largest = u64::from(trace.page_bytes.iter().copied().max().context("no pages")?);
     println!(
         "\n{name}: {} requests of {} pages, {:.1} MiB, of a file of {}",
@@ -77,20 +81,22 @@ fn replay_all(name: &str, trace: &PageTrace, pins_max: usize) -> Result<Vec<Row>
     println!("budget     pages  pins  policy            reads   re-read   hit rate");
     let mut rows = Vec::new();
     for budget in BUDGETS {
-        let budget_bytes = (bytes as f64 * budget) as u64;
+        let whole = if arguments.of_file { file_bytes } else { bytes };
+        let budget_bytes = (whole as f64 * budget) as u64;
         // As `Octree::open` divides the budget of one reader.
-        let spare = (budget_bytes / 2 / largest).clamp(1, pins_max as u64) as usize;
+        let spare = (budget_bytes / 16 / largest).clamp(1, arguments.pins as u64) as usize;
         let pins = if spare.is_power_of_two() { spare } else { spare.next_power_of_two() / 2 };
         let replay = Replay { trace, budget_bytes, pins };
-        let results: [(&'static str, Seen); 9] = [
+        let results: [(&'static str, Seen); 10] = [
             ("lru", replay.run::<Lru>(false)),
-            ("lru, pins count", replay.run::<Lru>(true)),
             ("clock", replay.run::<Clock>(false)),
-            ("clock, pins count", replay.run::<Clock>(true)),
+            ("2q", replay.run::<TwoQueues>(false)),
             ("s3-fifo", replay.run::<S3Fifo>(false)),
-            ("s3-fifo, p. count", replay.run::<S3Fifo>(true)),
-            ("2q, pins count", replay.run::<TwoQueues>(true)),
-            ("lru, top kept", replay.run_with_top::<Lru>(0.25)),
+            ("lirs 10 %", replay.run::<Lirs<10>>(false)),
+            ("lirs 30 % (ours)", replay.run::<Lirs>(false)),
+            ("lirs 50 %", replay.run::<Lirs<50>>(false)),
+            ("ours, pins count", replay.run::<Lirs>(true)),
+            ("ours, top kept", replay.run_with_top::<Lirs>(0.25)),
             ("belady", replay.run_belady()),
         ];
         for (policy, seen) in results {

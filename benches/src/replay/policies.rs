@@ -25,6 +25,45 @@ impl Ghosts {
     }
 }
 
+/// Least recently used pages go first.
+pub struct Lru {
+    order: PageLists<1>,
+}
+
+impl Policy for Lru {
+    const BYTES_PER_PAGE: u64 = PageLists::<1>::BYTES_PER_PAGE;
+
+    fn new(page_count: usize, _budget_bytes: u64) -> Self {
+        Self { order: PageLists::new(page_count) }
+    }
+
+    fn insert(&mut self, page: u32, _bytes: u32) {
+        self.order.push(0, page);
+    }
+
+    fn touch(&mut self, page: u32) {
+        self.order.remove(0, page);
+        self.order.push(0, page);
+    }
+
+    fn evict(&mut self, is_pinned: &mut dyn FnMut(u32) -> bool) -> Option<u32> {
+        for _ in 0..self.order.len(0) {
+            let page = self.order.oldest(0)?;
+            self.order.remove(0, page);
+            if !is_pinned(page) {
+                return Some(page);
+            }
+            // What is pinned is in use.
+            self.order.push(0, page);
+        }
+        None
+    }
+
+    fn len(&self) -> usize {
+        self.order.len(0)
+    }
+}
+
 /// First in, first out, with a second chance for what was used since.
 pub struct Clock {
     order: PageLists<1>,

@@ -1,6 +1,6 @@
 //! Decoded pages under a budget: a [`Policy`] says which go, pinned ones never do.
 
-use crate::policy::{Lru, Policy};
+use crate::policy::{Lirs, Policy};
 use crate::stats::CacheStats;
 use crate::sync::{Arc, Condvar, Mutex, MutexGuard};
 use pbgi_format::PageId;
@@ -63,7 +63,7 @@ struct State {
 }
 
 /// The policy that measured best (`docs/measuring.md`).
-type ChosenPolicy = Lru;
+type ChosenPolicy = Lirs;
 
 /// What [`Cache::get`] found.
 pub(crate) enum Lookup {
@@ -118,19 +118,16 @@ impl Cache {
     }
 
     /// The page, or the duty to load it. Waits while another thread loads it. `decoded_bytes` is accounted for before this returns
-    /// [`Lookup::Load`]. `used` is a page the caller has pinned and used till now without asking the cache: it counts as just used.
-    pub fn get(&self, id: PageId, decoded_bytes: u32, used: Option<PageId>) -> Lookup {
+    /// [`Lookup::Load`].
+    pub fn get(&self, id: PageId, decoded_bytes: u32) -> Lookup {
         let index = id.0 as usize;
         let mut state = self.lock();
-        if let Some(used) = used {
-            state.touch(used);
-        }
         let mut waited = None;
         loop {
             match &state.slots[index] {
                 Slot::Present(page) => {
                     let page = page.clone();
-                    state.touch(id);
+                    state.policy.touch(id.0);
                     state.stats.hits += 1;
                     state.add_wait(waited);
                     return Lookup::Found(page);
@@ -256,12 +253,6 @@ impl State {
         } else {
             stats.distinct_pages += 1;
             stats.distinct_bytes += u64::from(stored_bytes);
-        }
-    }
-
-    fn touch(&mut self, id: PageId) {
-        if matches!(self.slots[id.0 as usize], Slot::Present(_)) {
-            self.policy.touch(id.0);
         }
     }
 

@@ -112,8 +112,9 @@ impl Octree {
             });
         }
         let cache_bytes = options.cache_bytes - fixed;
-        // Readers' own pins take at most half of what is left beyond the ways down.
-        let spare = (cache_bytes - needed) / 2 / options.readers.max(1) as u64 / largest.max(1);
+        // Readers' own pins save asking the cache, yet what they hold is not what it would hold: they take a small share of what
+        // is left beyond the ways down.
+        let spare = (cache_bytes - needed) / 16 / options.readers.max(1) as u64 / largest.max(1);
         Ok(Self {
             path: path.to_owned(),
             header,
@@ -192,7 +193,7 @@ impl Octree {
         let pins = if pins > self.local_pins { pins / 2 } else { pins };
         Reader {
             octree: self,
-            pins: (0..pins).map(|_| None).collect(),
+            pins: vec![None; pins],
             stats: ReaderStats::default(),
             trace: self.trace.as_ref().map(TraceWriter::reader),
         }
@@ -210,15 +211,10 @@ impl Octree {
         })
     }
 
-    /// The page, from the cache or from the file; none where it is damaged and `skips` such pages. `used` as for [`Cache::get`].
-    fn load_page(
-        &self,
-        id: PageId,
-        used: Option<PageId>,
-        skips: bool,
-    ) -> Result<Option<PageRef>, StoreError> {
+    /// The page, from the cache or from the file; none where it is damaged and `skips` such pages.
+    fn load_page(&self, id: PageId, skips: bool) -> Result<Option<PageRef>, StoreError> {
         let entry = self.entry(id)?;
-        match self.cache.get(id, entry.decoded_bytes, used) {
+        match self.cache.get(id, entry.decoded_bytes) {
             Lookup::Found(page) => return Ok(Some(page)),
             Lookup::LeftOut if skips => return Ok(None),
             // Read again for the error alone.
@@ -245,11 +241,62 @@ impl Octree {
 
     /// Reads, verifies and decodes a page, past the cache.
     pub(crate) fn read_page(&self, id: PageId, entry: &PageEntry) -> Result<Box<[u8]>, StoreError> {
-        self.read_unchanged_page(id, entry).map_err(|error| match self.source.state() {
-            // A file that was written to meanwhile explains any damage.
-            Ok(now) if now != self.opened => self.changed(id),
+        let mut stored = vec![0; entry.stored_bytes as usize].into_boxed_slice();
+        self.source.read_at(entry.offset, &mut stored).map_err(|source| {
+            let path = self.path.clone();
+            self.explain(StoreError::Unreadable { path, page: id, source }, id)
+        })?;
+        Ok(self.decode_page(id, entry, &stored)?.unwrap_or(stored))
+    }
+
+    /// Reads stored bytes of neighboring pages.
+    pub(crate) fn read_stored(&self, offset: u64, out: &mut [u8]) -> std::io::Result<()> {
+        self.source.read_at(offset, out)
+    }
+
+    /// Verifies the stored bytes of a page, and decodes them where they are not what they mean.
+    pub(crate) fn decode_page(
+        &self,
+        id: PageId,
+        entry: &PageEntry,
+        stored: &[u8],
+    ) -> Result<Option<Box<[u8]>>, StoreError> {
+        let found = page_checksum(stored);
+        if found != entry.checksum {
+            let (path, expected) = (self.path.clone(), entry.checksum);
+            let error = StoreError::Damaged { path, page: id, found, expected };
+            return Err(self.explain(error, id));
+        }
+        let invalid =
+            |source| StoreError::InvalidPage { path: self.path.clone(), page: id, source };
+        let mut decoded = None;
+        if entry.is_compressed() {
+            let length = entry.decoded_bytes as usize;
+            let bytes = lz4_flex::block::decompress(stored, length).map_err(|error| {
+                invalid(FormatError {
+                    place: "LZ4 data",
+                    found: error.to_string(),
+                    expected: format!("{length} bytes"),
+                })
+            })?;
+            decoded = Some(bytes.into_boxed_slice());
+        }
+        let bytes = decoded.as_deref().unwrap_or(stored);
+        let checked = match entry.kind {
+            PageKind::Nodes => NodePage::new(bytes, id).map(drop),
+            PageKind::Surfels => SurfelPage::new(bytes).map(drop),
+        };
+        checked.map_err(invalid)?;
+        Ok(decoded)
+    }
+
+    /// `error`, unless the file was written to since it was opened, which explains any damage.
+    #[cold]
+    fn explain(&self, error: StoreError, page: PageId) -> StoreError {
+        match self.source.state() {
+            Ok(now) if now != self.opened => self.changed(page),
             _ => error,
-        })
+        }
     }
 
     /// The error for a page of a file that was written to.
@@ -259,37 +306,10 @@ impl Octree {
         StoreError::Changed { path: self.path.clone(), page, found, expected: self.opened.bytes }
     }
 
-    fn read_unchanged_page(&self, id: PageId, entry: &PageEntry) -> Result<Box<[u8]>, StoreError> {
-        let mut stored = vec![0; entry.stored_bytes as usize].into_boxed_slice();
-        self.source.read_at(entry.offset, &mut stored).map_err(|source| {
-            StoreError::Unreadable { path: self.path.clone(), page: id, source }
-        })?;
-        let found = page_checksum(&stored);
-        if found != entry.checksum {
-            let (path, expected) = (self.path.clone(), entry.checksum);
-            return Err(StoreError::Damaged { path, page: id, found, expected });
-        }
-        let invalid =
-            |source| StoreError::InvalidPage { path: self.path.clone(), page: id, source };
-        let decoded = if entry.is_compressed() {
-            lz4_flex::block::decompress(&stored, entry.decoded_bytes as usize)
-                .map(Vec::into_boxed_slice)
-                .map_err(|error| {
-                    invalid(FormatError {
-                        place: "LZ4 data",
-                        found: error.to_string(),
-                        expected: format!("{} bytes", entry.decoded_bytes),
-                    })
-                })?
-        } else {
-            stored
-        };
-        let checked = match entry.kind {
-            PageKind::Nodes => NodePage::new(&decoded, id).map(drop),
-            PageKind::Surfels => SurfelPage::new(&decoded).map(drop),
-        };
-        checked.map_err(invalid)?;
-        Ok(decoded)
+    /// The error for a page that contradicts itself.
+    #[cold]
+    pub(crate) fn invalid_page(&self, page: PageId, source: FormatError) -> StoreError {
+        StoreError::InvalidPage { path: self.path.clone(), page, source }
     }
 }
 
@@ -328,18 +348,11 @@ fn read_table(bytes: &[u8], header: &Header) -> Result<Vec<PageEntry>, FormatErr
     Ok(table)
 }
 
-/// A page a reader holds, and whether it was asked for again since.
-struct LocalPin {
-    id: PageId,
-    page: PageRef,
-    is_used: bool,
-}
-
 /// One thread's access to an octree: pins pages, remembering the most recent ones.
 pub struct Reader<'a> {
     octree: &'a Octree,
     /// Recently used pages by their number modulo the (power of two) length.
-    pins: Vec<Option<LocalPin>>,
+    pins: Vec<Option<(PageId, PageRef)>>,
     stats: ReaderStats,
     trace: Option<ReaderTrace<'a>>,
 }
@@ -383,18 +396,17 @@ impl<'a> Reader<'a> {
             trace.record(id);
         }
         let slot = id.0 as usize & (self.pins.len() - 1);
-        if let Some(pin) = &mut self.pins[slot]
-            && pin.id == id
+        if let Some((pinned, page)) = &self.pins[slot]
+            && *pinned == id
         {
             self.stats.local_hits += 1;
-            pin.is_used = true;
-            return Ok(Some(pin.page.clone()));
+            return Ok(Some(page.clone()));
         }
         // Unpin first, so that the budget can be met.
-        let used = self.pins[slot].take().filter(|pin| pin.is_used).map(|pin| pin.id);
-        let Some(page) = self.octree.load_page(id, used, skips)? else { return Ok(None) };
-        self.pins[slot] = Some(LocalPin { id, page: page.clone(), is_used: false });
-        Ok(Some(page))
+        self.pins[slot] = None;
+        let page = self.octree.load_page(id, skips)?;
+        self.pins[slot] = page.clone().map(|page| (id, page));
+        Ok(page)
     }
 
     /// This reader's counters.
@@ -407,7 +419,7 @@ impl<'a> Reader<'a> {
     #[must_use]
     #[cold]
     pub fn invalid_page(&self, page: PageId, source: FormatError) -> StoreError {
-        StoreError::InvalidPage { path: self.octree.path.clone(), page, source }
+        self.octree.invalid_page(page, source)
     }
 }
 

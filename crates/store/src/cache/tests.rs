@@ -13,7 +13,7 @@ fn loaded(id: u32, bytes: usize) -> LoadedPage {
 }
 
 fn load(cache: &Cache, id: u32, bytes: usize) -> PageRef {
-    match cache.get(PageId(id), bytes as u32, None) {
+    match cache.get(PageId(id), bytes as u32) {
         Lookup::Found(page) => page,
         Lookup::Load => cache.insert(PageId(id), loaded(id, bytes)),
         Lookup::LeftOut => panic!("page {id} was left out"),
@@ -39,30 +39,16 @@ fn pages_in_use_stay_and_the_budget_holds() {
 }
 
 #[test]
-fn pages_used_from_local_pins_count_as_used() {
-    alone(|| {
-        let cache = Cache::new(10, 300);
-        (0..3).for_each(|id| drop(load(&cache, id, 100)));
-        for id in 3..9 {
-            assert!(matches!(cache.get(PageId(id), 100, Some(PageId(0))), Lookup::Load));
-            drop(cache.insert(PageId(id), loaded(id, 100)));
-        }
-        drop(load(&cache, 0, 100));
-        assert_eq!(cache.stats().hits, 1, "page 0 was used all the time");
-    });
-}
-
-#[test]
 fn abandoned_loads_can_be_tried_again_and_damaged_pages_stay_out() {
     alone(|| {
         let cache = Cache::new(2, 100);
-        assert!(matches!(cache.get(PageId(0), 50, None), Lookup::Load));
+        assert!(matches!(cache.get(PageId(0), 50), Lookup::Load));
         cache.abandon(PageId(0), 50);
         cache.validate();
-        assert!(matches!(cache.get(PageId(0), 50, None), Lookup::Load));
+        assert!(matches!(cache.get(PageId(0), 50), Lookup::Load));
         cache.leave_out(PageId(0), 50);
         cache.validate();
-        assert!(matches!(cache.get(PageId(0), 50, None), Lookup::LeftOut));
+        assert!(matches!(cache.get(PageId(0), 50), Lookup::LeftOut));
         assert_eq!(cache.left_out(), [PageId(0)]);
     });
 }
@@ -92,8 +78,7 @@ fn race(race: Race) {
                 let mut pinned: Option<PageRef> = None;
                 for round in 0..race.rounds {
                     let id = ((round * (thread + 1) + thread) % race.pages as usize) as u32;
-                    let used = pinned.as_ref().map(|page| PageId(u32::from(page.bytes()[0])));
-                    let page = match cache.get(PageId(id), BYTES as u32, used) {
+                    let page = match cache.get(PageId(id), BYTES as u32) {
                         Lookup::Found(page) => page,
                         Lookup::LeftOut => panic!("page {id} was left out"),
                         Lookup::Load => {
