@@ -199,7 +199,7 @@ impl Octree {
         }
     }
 
-    fn entry(&self, id: PageId) -> Result<&PageEntry, StoreError> {
+    pub(crate) fn entry(&self, id: PageId) -> Result<&PageEntry, StoreError> {
         self.table.get(id.0 as usize).ok_or_else(|| StoreError::InvalidPage {
             path: self.path.clone(),
             page: id,

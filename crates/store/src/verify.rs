@@ -7,7 +7,7 @@ mod page;
 use crate::error::StoreError;
 use crate::octree::Octree;
 use batch::Facts;
-use pbgi_format::{FormatError, LOBES_MAX, PageId};
+use pbgi_format::{FormatError, LOBES_MAX, PageEntry, PageId, PageKind};
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc;
@@ -60,30 +60,15 @@ impl Octree {
         let batches = self.batches();
         let next = AtomicUsize::new(0);
         let (sender, results) = mpsc::channel();
-        let mut facts: Vec<Facts> = Vec::new();
-        facts.resize_with(batches.len(), Facts::default);
-        let mut failed: Option<(usize, StoreError)> = None;
-        let mut bytes_read = 0;
         std::thread::scope(|scope| {
             for _ in 0..threads.max(1) {
                 let (sender, next, batches) = (sender.clone(), &next, &batches);
-                scope.spawn(move || {
-                    let mut buffer = Vec::new();
-                    while let index = next.fetch_add(1, Ordering::Relaxed)
-                        && let Some(pages) = batches.get(index)
-                    {
-                        let result = batch::check(self, pages.clone(), &mut buffer);
-                        if result.is_err() {
-                            // Batches before this one are on their way; none after it counts.
-                            next.store(batches.len(), Ordering::Relaxed);
-                        }
-                        if sender.send((index, result)).is_err() {
-                            break;
-                        }
-                    }
-                });
+                scope.spawn(move || self.check_batches(batches, next, &sender));
             }
             drop(sender);
+            let mut facts: Vec<Facts> = Vec::new();
+            facts.resize_with(batches.len(), Facts::default);
+            let (mut bytes_read, mut failed) = (0, None::<(usize, StoreError)>);
             for (index, result) in results {
                 match result {
                     Ok(found) => {
@@ -97,10 +82,32 @@ impl Octree {
                     Err(_) => {}
                 }
             }
-        });
-        match failed {
-            Some((_, error)) => Err(error),
-            None => join::join(self, facts),
+            match failed {
+                Some((_, error)) => Err(error),
+                None => join::join(self, facts),
+            }
+        })
+    }
+
+    /// Checks runs of pages that no other thread has taken, until there are none or one of them is damaged.
+    fn check_batches(
+        &self,
+        batches: &[Range<usize>],
+        next: &AtomicUsize,
+        results: &mpsc::Sender<(usize, Result<Facts, StoreError>)>,
+    ) {
+        let mut buffer = Vec::new();
+        while let index = next.fetch_add(1, Ordering::Relaxed)
+            && let Some(pages) = batches.get(index)
+        {
+            let result = batch::check(self, pages.clone(), &mut buffer);
+            if result.is_err() {
+                // Batches before this one are on their way; none after it counts.
+                next.store(batches.len(), Ordering::Relaxed);
+            }
+            if results.send((index, result)).is_err() {
+                break;
+            }
         }
     }
 
@@ -109,14 +116,13 @@ impl Octree {
         let pages = self.pages();
         let mut batches = Vec::new();
         let mut first = 0;
+        let end_of = |page: &PageEntry| page.offset + u64::from(page.stored_bytes);
         for (index, page) in pages.iter().enumerate() {
-            let end = page.offset + u64::from(page.stored_bytes);
-            let pair = |i: usize| {
-                pages.get(i + 1).map_or(end, |next| next.offset + u64::from(next.stored_bytes))
-            };
-            let is_last = index + 1 == pages.len();
-            let is_full = pair(index + 1) - pages[first].offset > BATCH_BYTES;
-            if is_last || is_full && page.kind == pbgi_format::PageKind::Nodes {
+            let next = pages.get(index + 1);
+            // A page of surfels and that of their nodes may come next.
+            let after = pages.get(index + 2).or(next).map_or(u64::MAX, end_of);
+            let is_full = after - pages[first].offset > BATCH_BYTES;
+            if next.is_none() || is_full && page.kind == PageKind::Nodes {
                 batches.push(first..index + 1);
                 first = index + 1;
             }

@@ -15,6 +15,8 @@ pub(super) struct Facts {
     pub bytes_read: u64,
     pub nodes: u64,
     pub leaves: u64,
+    /// Surfels that the surfel pages say they hold.
+    pub page_surfels: u64,
     /// Leaves by number of surfels, from 0 on as far as there are any.
     pub leaf_sizes: Vec<u64>,
     pub lobe_counts: [u64; LOBES_MAX + 1],
@@ -83,28 +85,29 @@ pub(super) fn check(
         facts.bytes_read += u64::from(entry.stored_bytes);
         count(&mut facts.page_sizes, entry.decoded_bytes as usize / 4096);
         if entry.kind == PageKind::Surfels {
+            let page = SurfelPage::new(&bytes).map_err(|e| octree.invalid_page(id, e))?;
+            facts.page_surfels += u64::from(page.surfel_count());
             surfels.push((id, bytes));
             continue;
         }
         NodeCheck::run(octree, id, &bytes, &mut surfels, &mut facts)?;
     }
-    match surfels.first() {
-        Some((id, _)) => Err(octree.invalid(*id, "surfel page", "without a node page", "one")),
-        None => Ok(facts),
-    }
+    Ok(facts)
 }
 
-/// Takes the surfel page of a node page from those before it.
+/// The surfel page of a node page: one of those before it, or, where it is not in the run, read again.
 pub(super) fn take_surfels<'b>(
     octree: &Octree,
     owner: PageId,
     id: PageId,
     surfels: &mut Vec<(PageId, Cow<'b, [u8]>)>,
 ) -> Result<Cow<'b, [u8]>, StoreError> {
-    let found = surfels.iter().position(|(page, _)| *page == id);
-    let expected = "a surfel page right before it, of its own";
-    let found = found.ok_or_else(|| octree.invalid(owner, "surfel page", id, expected))?;
-    let (_, bytes) = surfels.remove(found);
-    SurfelPage::new(&bytes).map_err(|source| octree.invalid_page(id, source))?;
-    Ok(bytes)
+    if let Some(found) = surfels.iter().position(|(page, _)| *page == id) {
+        return Ok(surfels.remove(found).1);
+    }
+    let entry = octree.entry(id)?;
+    if entry.kind != PageKind::Surfels {
+        return Err(octree.invalid(owner, "surfel page: kind", "nodes", "surfels"));
+    }
+    Ok(Cow::Owned(octree.read_page(id, entry)?.into_vec()))
 }

@@ -11,10 +11,12 @@ use pbgi_format::PageId;
 pub(super) fn join(octree: &Octree, facts: Vec<Facts>) -> Result<VerifyReport, StoreError> {
     let mut report = VerifyReport { leaf_sizes: vec![0; 256], ..VerifyReport::default() };
     let (mut roots, mut links) = (Vec::new(), Vec::new());
-    let (mut nodes, mut leaves) = (0, 0);
+    let (mut nodes, mut leaves, mut page_surfels) = (0, 0, 0);
     for part in facts {
         report.bytes_read += part.bytes_read;
-        (nodes, leaves) = (nodes + part.nodes, leaves + part.leaves);
+        nodes += part.nodes;
+        leaves += part.leaves;
+        page_surfels += part.page_surfels;
         add(&mut report.leaf_sizes, &part.leaf_sizes);
         add(&mut report.page_sizes, &part.page_sizes);
         report.lobe_counts.iter_mut().zip(part.lobe_counts).for_each(|(sum, n)| *sum += n);
@@ -23,7 +25,7 @@ pub(super) fn join(octree: &Octree, facts: Vec<Facts>) -> Result<VerifyReport, S
         roots.extend(part.roots);
     }
     report.levels = count_levels(octree, &roots, links)?;
-    check_totals(octree, &report, nodes, leaves)?;
+    check_totals(octree, &report, [nodes, leaves, page_surfels])?;
     Ok(report)
 }
 
@@ -92,14 +94,14 @@ fn astray(octree: &Octree, link: &Link) -> StoreError {
 fn check_totals(
     octree: &Octree,
     report: &VerifyReport,
-    nodes: u64,
-    leaves: u64,
+    [nodes, leaves, page_surfels]: [u64; 3],
 ) -> Result<(), StoreError> {
     let header = octree.header();
     let surfels = report.levels.iter().map(|level| level.surfels).sum();
     let root: PageId = header.root_page;
     for (place, found, expected) in [
         ("header: surfels", header.surfel_count, surfels),
+        ("surfel pages: surfels", page_surfels, header.surfel_count),
         ("header: nodes", header.node_count, nodes),
         ("header: leaves", header.leaf_count, leaves),
         ("header: depth", u64::from(header.depth), report.levels.len() as u64),
