@@ -28,6 +28,9 @@ struct Arguments {
     /// Most pages that a reader pins for itself besides its way down the tree.
     #[arg(long, default_value_t = 64)]
     pins: usize,
+    /// One part in so many of the budget is for those pins at most.
+    #[arg(long, default_value_t = 16)]
+    pins_part: u64,
     /// Budgets are shares of the whole file, not of what the trace asks for.
     #[arg(long)]
     of_file: bool,
@@ -84,7 +87,8 @@ fn replay_all(name: &str, trace: &PageTrace, arguments: &Arguments) -> Result<Ve
         let whole = if arguments.of_file { file_bytes } else { bytes };
         let budget_bytes = (whole as f64 * budget) as u64;
         // As `Octree::open` divides the budget of one reader.
-        let spare = (budget_bytes / 16 / largest).clamp(1, arguments.pins as u64) as usize;
+        let spare = (budget_bytes / arguments.pins_part.max(1) / largest)
+            .clamp(1, arguments.pins as u64) as usize;
         let pins = if spare.is_power_of_two() { spare } else { spare.next_power_of_two() / 2 };
         let replay = Replay { trace, budget_bytes, pins };
         let results: [(&'static str, Seen); 10] = [

@@ -68,7 +68,7 @@ pub enum StoreError {
         expected: u64,
     },
     /// A page contradicts itself although its checksum is right.
-    #[error("page {page} of {} is invalid: {source}; bake it again, or shade without it (--skip-damaged)", path.display())]
+    #[error("page {page} of {} is invalid: {source}; bake it again", path.display())]
     InvalidPage {
         /// The file.
         path: PathBuf,
