@@ -137,7 +137,7 @@ impl Replay<'_> {
             stays[page] = true;
         }
         let policy = P::new(times.len(), budget);
-        self.run_without(&stays, budget, |used| used, policy)
+        self.run_without(&stays, budget, |_| None, policy)
     }
 
     /// Replays with a policy and a budget for all pages but those that stay once they are read.

@@ -161,7 +161,8 @@ impl<const PASSING: u64> Policy for Lirs<PASSING> {
             bytes: vec![0; page_count],
             count: 0,
             kept_bytes: 0,
-            kept_bytes_max: budget_bytes - budget_bytes * PASSING / 100,
+            kept_bytes_max: budget_bytes
+                - (u128::from(budget_bytes) * u128::from(PASSING) / 100) as u64,
         }
     }
 

@@ -46,7 +46,7 @@ impl Octree {
     /// leaf, that each group is linked once, and never back), every box (a child's inside its parent's), that every surfel has a
     /// place and a size, and the header's totals.
     ///
-    /// Each thread holds a mebibyte of stored bytes, or a page if that is more, and what they decode to. Beside these about two
+    /// Each thread holds a mebibyte of stored bytes (two, or three pages, at most), and what they decode to. Beside these about two
     /// hundred bytes are kept for each treelet of the file until the end. `progress` is told the bytes read.
     ///
     /// # Errors
@@ -121,8 +121,9 @@ impl Octree {
             let next = pages.get(index + 1);
             // A page of surfels and that of their nodes may come next.
             let after = pages.get(index + 2).or(next).map_or(u64::MAX, end_of);
-            let is_full = after - pages[first].offset > BATCH_BYTES;
-            if next.is_none() || is_full && page.kind == PageKind::Nodes {
+            let bytes = after - pages[first].offset;
+            let ends_pair = page.kind == PageKind::Nodes || bytes > 2 * BATCH_BYTES;
+            if next.is_none() || bytes > BATCH_BYTES && ends_pair {
                 batches.push(first..index + 1);
                 first = index + 1;
             }

@@ -74,7 +74,7 @@ pub struct StoreArgs {
     /// Shade on without pages that are damaged
     ///
     /// What lies in them counts as nothing. How many were left out is told in a warning, the statistics and the picture's attributes.
-    #[arg(long)]
+    #[arg(long, hide_short_help = true)]
     pub skip_damaged: bool,
     /// Record which pages of the octree file are asked for, in order
     #[arg(long, value_name = "FILE", hide_short_help = true)]
