@@ -8,9 +8,11 @@ mod drawing;
 mod gather;
 mod importance;
 mod light;
+mod queue;
 mod receiver;
 mod reflect;
 mod shade;
+mod spread;
 
 pub use gather::{GatherParts, GatherSettings, Gatherer};
 pub use importance::ImportanceTerms;
@@ -18,4 +20,8 @@ pub use light::PreparedLight;
 pub use pbgi_brdf::Material;
 pub use pbgi_raster::SimdLevel;
 pub use receiver::{Gloss, Receiver, Shading};
-pub use shade::{ScheduleError, ShadeOptions, ShadeReport, shade_receivers};
+pub use shade::{
+    CHUNKS_IN_FLIGHT, Feed, RECEIVER_BYTES_IN_FLIGHT, ScheduleError, ShadeOptions, ShadeReport,
+    Shaded, shade_receivers, shade_stream,
+};
+pub use spread::Spread;
