@@ -137,8 +137,8 @@ impl Octree {
         Reader { octree: self, pins: vec![None; pins], stats: ReaderStats::default() }
     }
 
-    /// The page, from the cache or from the file.
-    fn load_page(&self, id: PageId) -> Result<PageRef, StoreError> {
+    /// The page, from the cache or from the file, and the stored bytes that were read for it.
+    fn load_page(&self, id: PageId) -> Result<(PageRef, u32), StoreError> {
         let entry = self.table.get(id.0 as usize).ok_or_else(|| StoreError::InvalidPage {
             path: self.path.clone(),
             page: id,
@@ -149,13 +149,14 @@ impl Octree {
             },
         })?;
         match self.cache.get(id, entry.decoded_bytes) {
-            Lookup::Found(page) => Ok(page),
+            Lookup::Found(page) => Ok((page, 0)),
             Lookup::Load => {
                 let start = std::time::Instant::now();
                 match self.read_page(id, entry) {
                     Ok(bytes) => {
                         let ns = start.elapsed().as_nanos() as u64;
-                        Ok(self.cache.insert(id, bytes, entry.stored_bytes, ns))
+                        let page = self.cache.insert(id, bytes, entry.stored_bytes, ns);
+                        Ok((page, entry.stored_bytes))
                     }
                     Err(error) => {
                         self.cache.abandon(id, entry.decoded_bytes);
@@ -271,13 +272,18 @@ impl<'a> Reader<'a> {
         }
         // Unpin first, so that the budget can be met.
         self.pins[slot] = None;
-        let page = self.octree.load_page(id)?;
+        let start = std::time::Instant::now();
+        let (page, bytes_read) = self.octree.load_page(id)?;
+        self.stats.pages_read += u64::from(bytes_read > 0);
+        self.stats.bytes_read += u64::from(bytes_read);
+        self.stats.wait_ns += start.elapsed().as_nanos() as u64;
         self.pins[slot] = Some((id, page.clone()));
         Ok(page)
     }
 
     /// This reader's counters.
     #[must_use]
+    #[inline(always)]
     pub fn stats(&self) -> ReaderStats {
         self.stats
     }
