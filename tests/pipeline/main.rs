@@ -5,5 +5,6 @@ mod closed_forms;
 mod format_document;
 mod octree_file;
 mod reflections;
+mod schedule;
 mod support;
 mod walk;

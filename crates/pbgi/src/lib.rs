@@ -37,6 +37,7 @@ mod relight;
 mod scan;
 mod scatter;
 mod shade;
+mod shade_statistics;
 mod share;
 mod splat;
 mod table_receivers;
@@ -66,10 +67,8 @@ pub use pbgi_schedule::{ImportanceTerms, Material};
 pub use points::{PointSource, PointsRequest, shade_points};
 pub use progress::{Phase, Progress, ProgressMode, Verbosity};
 pub use relight::{BOUNCES_MAX, LightRequest};
-pub use shade::{
-    CacheReport, EnvironmentSpec, GlossSettings, LightSource, ShadeReport, ShadeSettings,
-};
-
+pub use shade::{EnvironmentSpec, GlossSettings, LightSource, ShadeReport, ShadeSettings};
+pub use shade_statistics::{CacheReport, CutReport, LevelReport};
 pub use target::TargetReport;
 
 /// The example of the README, which must compile.

@@ -5,6 +5,7 @@ use crate::PbgiError;
 use crate::check::{AloneReport, CheckReport, CheckSample};
 use crate::memory_split::MemorySplit;
 use crate::progress::{Progress, format_bytes, format_count, format_seconds};
+use crate::shade_statistics::{CacheReport, CutReport, LevelReport};
 use crate::target::{Calibration, TargetReport};
 use pbgi_format::{Channels, Header};
 use pbgi_image::read_environment;
@@ -15,7 +16,7 @@ use pbgi_schedule::{
     PreparedLight, RECEIVER_BYTES_IN_FLIGHT, Receiver, ShadeOptions, ShadeReport as ScheduleReport,
     Shaded, Shading, shade_receivers, shade_stream,
 };
-use pbgi_store::{Backend, CacheStats, Octree, OpenOptions};
+use pbgi_store::{Backend, Octree, OpenOptions};
 use serde::Serialize;
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -431,12 +432,13 @@ impl<'a> Session<'a> {
         'a: 'o,
     {
         let gather = GatherSettings { parts, ..self.gather };
-        ShadeOptions { gather, threads: self.threads, cancel: self.cancel, progress }
+        let (threads, cancel) = (self.threads, self.cancel);
+        ShadeOptions { gather, threads, cancel, progress, ..ShadeOptions::default() }
     }
 
     /// Measures the error, if asked to, and closes the file.
     pub fn finish(mut self, progress: &Progress) -> Result<ShadeReport, PbgiError> {
-        let cache = CacheReport::new(&self.octree.stats());
+        let cache = CacheReport::new(&self.octree.stats(), self.octree.pages().len() as u64);
         let receivers = self.sample.offered;
         let sample = std::mem::take(&mut self.sample).into_sorted();
         let check = if sample.is_empty() { None } else { self.check(&sample, progress)? };
@@ -448,6 +450,8 @@ impl<'a> Session<'a> {
             receivers_per_second: receivers as f64 / seconds.max(1e-9),
             cut_mean: mean(cut.cut_size()),
             nodes_visited_mean: mean(cut.nodes_visited),
+            cuts: CutReport::new(&self.done),
+            levels: LevelReport::all(&cut.levels),
             cache,
             memory: self.memory,
             memory_peak_bytes: crate::memory::peak_resident_bytes(),
@@ -478,6 +482,7 @@ impl<'a> Session<'a> {
             threads: self.threads,
             cancel: self.cancel,
             progress: &|done| phase.set_done(done),
+            ..ShadeOptions::default()
         };
         let light = self.light.as_ref();
         let (references, _) = shade_receivers(&self.octree, light, &receivers, &options)?;
@@ -486,7 +491,8 @@ impl<'a> Session<'a> {
         let mut alone = None;
         if self.shares {
             let (threads, cancel) = (self.threads, self.cancel);
-            let options = ShadeOptions { gather: self.gather, threads, cancel, progress: &|_| () };
+            let gather = self.gather;
+            let options = ShadeOptions { gather, threads, cancel, ..ShadeOptions::default() };
             let (own, _) = shade_receivers(&self.octree, light, &receivers, &options)?;
             alone = AloneReport::new(&own, &references).ok();
         }
@@ -515,45 +521,6 @@ pub(crate) fn gloss_toward(
     Some(Gloss { material, toward_eye })
 }
 
-/// What the page cache did.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct CacheReport {
-    /// Pages asked for.
-    pub requests: u64,
-    /// Share of requests that did not read the file.
-    pub hit_rate: f64,
-    /// Pages read.
-    pub pages_read: u64,
-    /// Bytes read.
-    pub bytes_read: u64,
-    /// Bytes of distinct pages read.
-    pub distinct_bytes: u64,
-    /// Bytes read ÷ bytes of distinct pages.
-    pub read_amplification: f64,
-    /// Pages dropped to make room.
-    pub evictions: u64,
-    /// Seconds workers waited for pages, summed over workers.
-    pub wait_seconds: f64,
-    /// Most bytes of pages held at once.
-    pub held_bytes_max: u64,
-}
-
-impl CacheReport {
-    fn new(stats: &CacheStats) -> Self {
-        Self {
-            requests: stats.requests,
-            hit_rate: stats.hit_rate(),
-            pages_read: stats.pages_read,
-            bytes_read: stats.bytes_read,
-            distinct_bytes: stats.distinct_bytes,
-            read_amplification: stats.read_amplification(),
-            evictions: stats.evictions,
-            wait_seconds: stats.wait_ns as f64 * 1e-9,
-            held_bytes_max: stats.held_bytes_max,
-        }
-    }
-}
-
 /// What a shading run did.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ShadeReport {
@@ -567,6 +534,10 @@ pub struct ShadeReport {
     pub cut_mean: f64,
     /// Mean nodes whose bounds were tested.
     pub nodes_visited_mean: f64,
+    /// Batches and their cuts.
+    pub cuts: CutReport,
+    /// Requests for pages by level of the tree, from the root's on.
+    pub levels: Vec<LevelReport>,
     /// The page cache while shading.
     pub cache: CacheReport,
     /// How the memory limit was divided.
@@ -598,6 +569,13 @@ pub struct ShadeReport {
 }
 
 impl ShadeReport {
+    /// Statistics of cuts, levels and page cache as rows of a table: label and value.
+    #[must_use]
+    pub fn statistics(&self) -> Vec<(String, String)> {
+        let levels = self.levels.iter().map(LevelReport::row);
+        self.cuts.rows().into_iter().chain(self.cache.rows()).chain(levels).collect()
+    }
+
     /// The report as rows of a table: label and value.
     #[must_use]
     pub fn rows(&self) -> Vec<(&'static str, String)> {

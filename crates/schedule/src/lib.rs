@@ -18,10 +18,11 @@ pub use gather::{GatherParts, GatherSettings, Gatherer};
 pub use importance::ImportanceTerms;
 pub use light::PreparedLight;
 pub use pbgi_brdf::Material;
+pub use pbgi_cut::{CutStats, LevelStats};
 pub use pbgi_raster::SimdLevel;
 pub use receiver::{Gloss, Receiver, Shading};
 pub use shade::{
-    CHUNKS_IN_FLIGHT, Feed, RECEIVER_BYTES_IN_FLIGHT, ScheduleError, ShadeOptions, ShadeReport,
-    Shaded, shade_receivers, shade_stream,
+    CHUNKS_IN_FLIGHT, Feed, RECEIVER_BYTES_IN_FLIGHT, ReceiverOrder, ScheduleError, ShadeOptions,
+    ShadeReport, Shaded, shade_receivers, shade_stream,
 };
 pub use spread::Spread;

@@ -19,6 +19,16 @@ pub const CHUNKS_IN_FLIGHT: usize = 2;
 pub const RECEIVER_BYTES_IN_FLIGHT: usize =
     size_of::<Receiver>() + size_of::<Shading>() + size_of::<(u64, u32)>() + size_of::<u32>();
 
+/// In which order the receivers of a chunk are shaded; never changes their results.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ReceiverOrder {
+    /// Along the Morton curve, so that neighbors share pages.
+    #[default]
+    Morton,
+    /// As they come, to measure other orders.
+    AsGiven,
+}
+
 /// How to shade.
 #[derive(Clone, Copy)]
 pub struct ShadeOptions<'a> {
@@ -26,6 +36,11 @@ pub struct ShadeOptions<'a> {
     pub gather: GatherSettings,
     /// Worker threads, at least 1.
     pub threads: usize,
+    /// Order within a chunk.
+    pub order: ReceiverOrder,
+    /// Whether one more thread, with a reader of its own, gathers for a receiver of each batch ahead of the workers, so that its pages are
+    /// there when they come.
+    pub prefetch: bool,
     /// Set from outside to stop.
     pub cancel: &'a AtomicBool,
     /// Told the number of receivers done, now and then, from any worker.
@@ -36,7 +51,14 @@ static NEVER: AtomicBool = AtomicBool::new(false);
 
 impl Default for ShadeOptions<'_> {
     fn default() -> Self {
-        Self { gather: GatherSettings::default(), threads: 1, cancel: &NEVER, progress: &|_| {} }
+        Self {
+            gather: GatherSettings::default(),
+            threads: 1,
+            order: ReceiverOrder::Morton,
+            prefetch: false,
+            cancel: &NEVER,
+            progress: &|_| {},
+        }
     }
 }
 
@@ -82,6 +104,12 @@ pub struct ShadeReport {
 }
 
 impl ShadeReport {
+    /// Seconds workers spent in the shared cache, reading pages or waiting for them, summed over workers.
+    #[must_use]
+    pub fn wait_seconds(&self) -> f64 {
+        self.cut.levels.iter().map(|level| level.wait_ns).sum::<u64>() as f64 * 1e-9
+    }
+
     /// Adds what another run did.
     pub fn add(&mut self, other: &Self) {
         self.receivers += other.receivers;
@@ -106,6 +134,7 @@ pub struct Shaded<'s, T> {
 /// Where chunks of receivers are pushed into a running stream.
 pub struct Feed<'q, 'r, T, E> {
     queue: &'q Queue<'r>,
+    order: ReceiverOrder,
     attached: VecDeque<T>,
     pushed: u64,
     take: &'q mut dyn FnMut(Shaded<'_, T>) -> Result<(), E>,
@@ -122,7 +151,11 @@ impl<'r, T, E: From<ScheduleError>> Feed<'_, 'r, T, E> {
         while self.attached.len() >= CHUNKS_IN_FLIGHT {
             self.take_oldest()?;
         }
-        let order = morton_order(&receivers, self.pushed)?;
+        check_receivers(&receivers, self.pushed)?;
+        let order = match self.order {
+            ReceiverOrder::Morton => morton_order(&receivers),
+            ReceiverOrder::AsGiven => (0..receivers.len() as u32).collect(),
+        };
         self.pushed += receivers.len() as u64;
         self.attached.push_back(attached);
         self.queue.push(Chunk { receivers, order });
@@ -170,9 +203,13 @@ pub fn shade_stream<'r, T, E: From<ScheduleError>>(
     };
     let (fed, parts) = std::thread::scope(|scope| {
         let workers: Vec<_> = (0..options.threads.max(1)).map(|_| scope.spawn(work)).collect();
+        if options.prefetch {
+            scope.spawn(|| run_scout(octree, light, options, &queue));
+        }
         let guard = StopOnDrop(&queue);
         let attached = VecDeque::with_capacity(CHUNKS_IN_FLIGHT);
-        let mut feed = Feed { queue: &queue, attached, pushed: 0, take: &mut take };
+        let mut feed =
+            Feed { queue: &queue, order: options.order, attached, pushed: 0, take: &mut take };
         let fed = fill(&mut feed).and_then(|()| feed.drain());
         drop(guard);
         let join = |worker: std::thread::ScopedJoinHandle<'_, ShadeReport>| {
@@ -227,6 +264,21 @@ fn run_worker(
     report
 }
 
+/// Gathers for one receiver of each batch ahead of the workers. What comes of it is not kept; an error will be found again.
+fn run_scout(
+    octree: &Octree,
+    light: Option<&PreparedLight>,
+    options: &ShadeOptions<'_>,
+    queue: &Queue<'_>,
+) {
+    let mut gatherer = Gatherer::new(octree.reader(), &options.gather, light);
+    while let Some((chunk, index)) = queue.next_ahead() {
+        if gatherer.gather(&chunk.receivers[index as usize]).is_err() {
+            return;
+        }
+    }
+}
+
 /// Shades receivers that are all at hand and returns their results in the order given. See [`shade_stream`].
 ///
 /// # Errors
@@ -252,8 +304,8 @@ pub fn shade_receivers(
     Ok((shadings, report))
 }
 
-/// Indices of the receivers along the Morton curve of their own bounds, ties in the order given. The first is the `first`th of all.
-fn morton_order(receivers: &[Receiver], first: u64) -> Result<Vec<u32>, ScheduleError> {
+/// Refuses receivers that are no places with directions. The first is the `first`th of all.
+fn check_receivers(receivers: &[Receiver], first: u64) -> Result<(), ScheduleError> {
     for (index, receiver) in receivers.iter().enumerate() {
         let unit = (receiver.normal.length_squared() - 1.0).abs() < 1e-2;
         if !receiver.position.is_finite() || !unit {
@@ -264,9 +316,14 @@ fn morton_order(receivers: &[Receiver], first: u64) -> Result<Vec<u32>, Schedule
             });
         }
     }
+    Ok(())
+}
+
+/// Indices of the receivers along the Morton curve of their own bounds, ties in the order given.
+fn morton_order(receivers: &[Receiver]) -> Vec<u32> {
     let root = RootCube::from_bounds(&Aabb::from_points(receivers.iter().map(|r| r.position)));
     let mut keyed: Vec<(u64, u32)> =
         receivers.iter().enumerate().map(|(i, r)| (root.code(r.position).0, i as u32)).collect();
     keyed.sort_unstable();
-    Ok(keyed.into_iter().map(|(_, index)| index).collect())
+    keyed.into_iter().map(|(_, index)| index).collect()
 }
