@@ -84,6 +84,8 @@ fn processor_ns() -> Option<u64> {
     text.split_whitespace().next()?.parse().ok()
 }
 
+mod lit;
 mod svg;
 
+pub use lit::{lit_surfels, read_sorted, reflected_radiance};
 pub use svg::{Line, plot};
