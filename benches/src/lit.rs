@@ -2,7 +2,7 @@
 
 use crate::{bake, dice};
 use anyhow::{Result, bail};
-use pbgi_cloud::{CloudOptions, Surfel, open_cloud};
+use pbgi_cloud::{CloudOptions, SliceSource, Surfel, open_cloud};
 use pbgi_image::read_environment;
 use pbgi_light::{Environment, EnvironmentOptions, SkyParameters, synthetic_sky};
 use pbgi_math::Vec3;
@@ -17,7 +17,7 @@ use std::path::Path;
 const SKY: &str = "kloppenheim_05_1k.hdr";
 
 /// Surfels of the scene `name`, lit by a sky: street, foliage, or where the folder `data` has the files, sponza, scan. None where it has
-/// not. Their count is about `count`; that of the scan is its own.
+/// not. Their count is about `count`; of the scan, points spread evenly over the file are taken.
 ///
 /// # Errors
 ///
@@ -30,7 +30,7 @@ pub fn lit_surfels(name: &str, count: u64, data: &Path) -> Result<Option<Vec<Sur
             (dice(&made.scene, count)?, Vec3::Y)
         }
         "sponza" if mesh.is_file() => (dice(&read_scene(&mesh)?, count)?, Vec3::Y),
-        "scan" if scan.is_file() => (read_scan(&scan)?, Vec3::Z),
+        "scan" if scan.is_file() => (read_scan(&scan, count)?, Vec3::Z),
         "sponza" | "scan" => return Ok(None),
         _ => bail!("there is no scene {name}; see --help"),
     };
@@ -53,10 +53,14 @@ pub fn lit_surfels(name: &str, count: u64, data: &Path) -> Result<Option<Vec<Sur
     Ok(Some(lit.collect()))
 }
 
-/// Points with sizes and normals estimated, as `pbgi-bake` does it.
-fn read_scan(path: &Path) -> Result<Vec<Surfel>> {
+/// About `count` points with sizes and normals estimated, as `pbgi-bake` does it.
+fn read_scan(path: &Path, count: u64) -> Result<Vec<Surfel>> {
+    let (mut points, mut source) = (Vec::new(), open_cloud(path, &CloudOptions::default())?);
+    while source.read_chunk(&mut points)? {}
+    let step = points.len().div_ceil(count.max(1) as usize).max(1);
+    let points: Vec<Surfel> = points.into_iter().step_by(step).collect();
     let options = SortOptions::default();
-    let sorted = sort_surfels(&mut *open_cloud(path, &CloudOptions::default())?, &options)?;
+    let sorted = sort_surfels(&mut SliceSource::new(&points), &options)?;
     let (mut sorted, _) = estimate_surfels(sorted, &EstimateOptions::default(), &options)?;
     Ok(read_sorted(&mut sorted)?.1)
 }

@@ -32,7 +32,7 @@ struct Arguments {
     /// Folder with sponza_crytek.glb, autzen_stadium.laz and an environment; scenes it lacks are left out.
     #[arg(long, default_value = "../shared/data")]
     data: PathBuf,
-    /// Surfels per scene; the scan has its own.
+    /// Surfels per scene.
     #[arg(long, default_value_t = 500_000)]
     surfels: u64,
     /// Nodes of each size and scene that are looked at.
@@ -173,7 +173,10 @@ struct Row {
     occlusion_bytes: f64,
     area: Spread,
     flux: Spread,
+    /// Of both, every piece of area alike.
     error: f64,
+    /// Of both, every node alike.
+    error_by_node: f64,
 }
 
 /// The row of a form, over nodes with their weights.
@@ -193,6 +196,7 @@ fn row(scene: &str, surfels: &str, form: &str, outcomes: &[(f64, Outcome)]) -> R
         area,
         flux,
         error: (0.5 * (area.rrmse.powi(2) + flux.rrmse.powi(2))).sqrt(),
+        error_by_node: mean(&|o| o.errors.combined().powi(2)).sqrt(),
     }
 }
 
@@ -258,12 +262,22 @@ fn rows_of(scene: &str, size: &str, all: &[Vec<(f64, Outcome)>], first: usize) -
 
 fn print_rows(rows: &[Row]) {
     println!(
-        "{:24} {:>6} {:>9} {:>8} {:>8} {:>8} {:>8} {:>8} {:>9}",
-        "form", "bytes", "occlusion", "area", "p99", "flux", "p99", "both", "x bytes"
+        "{:26} {:>6} {:>9} {:>8} {:>8} {:>8} {:>8} {:>8} {:>9} {:>8} {:>9}",
+        "form",
+        "bytes",
+        "occlusion",
+        "area",
+        "p99",
+        "flux",
+        "p99",
+        "both",
+        "x bytes",
+        "by node",
+        "x bytes"
     );
     for r in rows {
         println!(
-            "{:24} {:6.1} {:9.1} {:6.2} % {:6.1} % {:6.2} % {:6.1} % {:6.2} % {:9.2}",
+            "{:26} {:6.1} {:9.1} {:6.2} % {:6.1} % {:6.2} % {:6.1} % {:6.2} % {:9.2} {:6.2} % {:9.2}",
             r.form,
             r.bytes,
             r.occlusion_bytes,
@@ -273,6 +287,8 @@ fn print_rows(rows: &[Row]) {
             r.flux.p99 * 100.0,
             r.error * 100.0,
             r.error * r.bytes,
+            r.error_by_node * 100.0,
+            r.error_by_node * r.bytes,
         );
     }
 }

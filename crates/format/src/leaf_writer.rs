@@ -3,7 +3,7 @@
 use crate::bits::{BitWriter, index_bits, number_bits};
 use crate::leaf::{CODE_MASK, OrientationMode, PositionFrame, SizeMode, WIDTH_BITS};
 use crate::surfel::{RADIANCE, SIZE_RATIO, encode_albedo};
-use crate::{Channels, SurfelLayout};
+use crate::{Channels, MiniFloat, SurfelLayout};
 use pbgi_math::{Aabb, Vec3, narrow_octahedral24};
 
 /// Most bits of a coordinate.
@@ -45,8 +45,21 @@ const RADIANCE_SPAN: u32 = 16 << 9;
 /// Bits of an orientation that hold the normal.
 const NORMAL_BITS: u32 = 0xff_ffff;
 
+/// Bits of [`Codes::sizes`] that are flags.
+const SIZE_FLAGS: u32 = !(CODE_MASK | CODE_MASK << 16);
+
 /// Bits of an albedo's channel at most, above the leaf's least.
 const ALBEDO_WIDTH_MAX: u32 = 6;
+
+/// How much a leaf rounds what it stores.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LeafRounding {
+    /// To steps small against the surfels, for few bytes.
+    #[default]
+    Compact,
+    /// To the finest steps the layout has: what `Compact` costs is measured against it.
+    Finest,
+}
 
 /// A surfel to be stored.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -276,6 +289,7 @@ impl Above {
 /// Encodes leaves, one after the other; keeps its memory.
 #[derive(Default)]
 pub struct LeafWriter {
+    rounding: LeafRounding,
     surfels: Vec<Codes>,
     /// Least half edge of rectangles.
     tile_edge: Option<f32>,
@@ -289,6 +303,16 @@ pub struct LeafWriter {
 }
 
 impl LeafWriter {
+    /// A writer of leaves rounded so.
+    #[must_use]
+    pub fn new(rounding: LeafRounding) -> Self {
+        Self { rounding, ..Self::default() }
+    }
+
+    fn is_finest(&self) -> bool {
+        self.rounding == LeafRounding::Finest
+    }
+
     /// Adds a surfel to the leaf.
     #[inline]
     pub fn push(&mut self, surfel: &SurfelFields, layout: &SurfelLayout) {
@@ -407,8 +431,12 @@ impl LeafWriter {
         let least = self.surfels.iter().map(area_code).min().unwrap_or(0);
         let least = half_edge(layout.area.decode(least as u16));
         let tile = self.tile_edge.unwrap_or(f32::MAX);
-        let step = |steps: &StepsPerEdge| {
-            (mean / steps.mean).min(least / steps.least).min(tile / steps.tile)
+        let step = |steps: &StepsPerEdge| match self.rounding {
+            LeafRounding::Compact => {
+                (mean / steps.mean).min(least / steps.least).min(tile / steps.tile)
+            }
+            // No more bits than there are make a step of nothing.
+            LeafRounding::Finest => 0.0,
         };
         std::array::from_fn(|axis| {
             let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
@@ -428,14 +456,14 @@ impl LeafWriter {
     fn choose_orientation(&self) -> OrientationMode {
         let count = self.surfels.len() as u32;
         let listed = self.orientations.cost(4);
-        let has_tiles = self.tile_edge.is_some();
+        let is_wide = self.tile_edge.is_some() || self.is_finest();
         let normal = |orientation: u32| orientation & NORMAL_BITS;
         let first = self.orientations.values[0];
-        if listed <= count * if has_tiles { 32 } else { 20 } {
+        if listed <= count * if is_wide { 32 } else { 20 } {
             let is_one = self.orientations.values.iter().all(|&o| normal(o) == normal(first));
             let is_plane = is_one && !self.any_isotropic;
             if is_plane { OrientationMode::Plane } else { OrientationMode::Listed }
-        } else if has_tiles {
+        } else if is_wide {
             OrientationMode::Wide
         } else {
             OrientationMode::Narrow
@@ -443,20 +471,19 @@ impl LeafWriter {
     }
 
     fn choose_sizes(&self) -> (SizeMode, Below, Below) {
-        const FLAGS: u32 = !(CODE_MASK | CODE_MASK << 16);
         let count = self.surfels.len() as u32;
         let all = || self.surfels.iter();
         let has_tiles = self.tile_edge.is_some();
         let shift = if has_tiles { TILE_SIZE_SHIFT } else { DISK_SIZE_SHIFT };
         let radius = Below::fit(all().map(radius_code), shift);
         let area = Below::fit(all().map(area_code), shift);
-        let flags = self.surfels[0].sizes & FLAGS;
+        let flags = self.surfels[0].sizes & SIZE_FLAGS;
         let mut best = (32 * count, SizeMode::Wide);
         let listed = self.sizes.cost(4);
         if listed < best.0 {
             best = (listed, SizeMode::Listed);
         }
-        if all().all(|s| s.sizes & FLAGS == flags) {
+        if !self.is_finest() && all().all(|s| s.sizes & SIZE_FLAGS == flags) {
             let both = 48 + count * (radius.width + area.width);
             if both < best.0 {
                 best = (both, SizeMode::Both);
@@ -471,7 +498,7 @@ impl LeafWriter {
     }
 
     fn write_sizes(&self, size: SizeMode, radius: &Below, area: &Below, out: &mut Vec<u8>) {
-        let flags = self.surfels[0].sizes & !(CODE_MASK | CODE_MASK << 16);
+        let flags = self.surfels[0].sizes & SIZE_FLAGS;
         let (isotropic, front_only) = (flags & 0xffff, flags >> 16);
         let largest = |below: &Below, flag: u32| ((below.largest | flag) as u16).to_le_bytes();
         match size {
@@ -496,7 +523,10 @@ impl LeafWriter {
         if layout.channels == Channels::Occlusion {
             return Above::default();
         }
-        let limits = (RADIANCE_SHIFT_MIN, RADIANCE_WIDTH_MAX);
+        let limits = match self.rounding {
+            LeafRounding::Compact => (RADIANCE_SHIFT_MIN, RADIANCE_WIDTH_MAX),
+            LeafRounding::Finest => (0, MiniFloat::BITS),
+        };
         let fit = Above::fit(self.surfels.iter().map(|s| s.radiance), limits, RADIANCE_SPAN);
         out.extend_from_slice(&fit.control().to_le_bytes());
         if fit.floor == 0 || fit.bits() > 0 {
@@ -513,7 +543,8 @@ impl LeafWriter {
             return Some(Above::default());
         }
         self.albedos.collect(self.surfels.iter().map(|s| s.albedo));
-        let fit = Above::fit(self.surfels.iter().map(albedo_codes), (0, ALBEDO_WIDTH_MAX), 0);
+        let width_max = if self.is_finest() { u8::BITS } else { ALBEDO_WIDTH_MAX };
+        let fit = Above::fit(self.surfels.iter().map(albedo_codes), (0, width_max), 0);
         if self.albedos.cost(3) <= 48 + self.surfels.len() as u32 * fit.bits() {
             self.albedos.write(3, out);
             return None;
@@ -554,7 +585,7 @@ fn albedo_codes(surfel: &Codes) -> [u32; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{LeafSurfel, LeafView, MiniFloat, SURFEL_PAGE_HEADER_BYTES, finish_surfel_page};
+    use crate::{LeafSurfel, LeafView, SURFEL_PAGE_HEADER_BYTES, finish_surfel_page};
     use pbgi_math::{TileCode, decode_octahedral24, encode_octahedral24};
 
     const LAYOUT: SurfelLayout = SurfelLayout {
@@ -602,8 +633,15 @@ mod tests {
     }
 
     fn page_of(surfels: &[SurfelFields], layout: &SurfelLayout) -> Vec<u8> {
+        page_by(&mut LeafWriter::default(), surfels, layout)
+    }
+
+    fn page_by(
+        writer: &mut LeafWriter,
+        surfels: &[SurfelFields],
+        layout: &SurfelLayout,
+    ) -> Vec<u8> {
         let mut page = vec![0; SURFEL_PAGE_HEADER_BYTES];
-        let mut writer = LeafWriter::default();
         surfels.iter().for_each(|s| writer.push(s, layout));
         writer.finish(&FRAME, layout, &mut page);
         finish_surfel_page(&mut page, surfels.len() as u32);
@@ -611,9 +649,12 @@ mod tests {
     }
 
     fn store(surfels: &[SurfelFields], layout: &SurfelLayout) -> Vec<LeafSurfel> {
-        let page = page_of(surfels, layout);
+        read_page(&page_of(surfels, layout), surfels, layout)
+    }
+
+    fn read_page(page: &[u8], surfels: &[SurfelFields], layout: &SurfelLayout) -> Vec<LeafSurfel> {
         let place = (SURFEL_PAGE_HEADER_BYTES as u32, surfels.len() as u32);
-        let leaf = LeafView::new(&page, place, &FRAME, layout).unwrap();
+        let leaf = LeafView::new(page, place, &FRAME, layout).unwrap();
         (0..leaf.count())
             .map(|i| {
                 assert_eq!(leaf.surfel(i).center, leaf.center(i));
@@ -668,6 +709,28 @@ mod tests {
                     assert!(error.abs() <= 2.51 / 255.0);
                 }
                 assert!(!back.isotropic && !back.front_only && !back.tile.is_known());
+            }
+        }
+    }
+
+    #[test]
+    fn finest_leaves_round_by_the_last_bits_of_their_codes() {
+        let mut random = Random(2);
+        let disks: Vec<_> = (0..32).map(|_| random.disk()).collect();
+        let mut writer = LeafWriter::new(LeafRounding::Finest);
+        for surfels in [disks, wall()] {
+            let page = page_by(&mut writer, &surfels, &LAYOUT);
+            for (surfel, back) in surfels.iter().zip(read_page(&page, &surfels, &LAYOUT)) {
+                // Coordinates of 15 bits.
+                let step = FRAME.extent().max_element() / f32::from(1u16 << 15);
+                assert!((back.center - surfel.center).length() < 2.0 * step);
+                assert_eq!(back.normal, decode_octahedral24(surfel.orientation));
+                assert!((back.area / surfel.area - 1.0).abs() < 1e-3);
+                for channel in 0..3 {
+                    assert!((back.radiance[channel] / surfel.radiance[channel] - 1.0).abs() < 1e-3);
+                    let error = back.albedo[channel].sqrt() - surfel.albedo[channel].sqrt();
+                    assert!(error.abs() <= 0.51 / 255.0);
+                }
             }
         }
     }
