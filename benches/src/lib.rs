@@ -104,5 +104,5 @@ fn processor_ns() -> Option<u64> {
 mod lit;
 mod svg;
 
-pub use lit::{lit_surfels, read_sorted, reflected_radiance};
+pub use lit::{lit_surfels, read_sorted, reflected_radiance, scene_surfels};
 pub use svg::{Line, plot};

@@ -16,24 +16,31 @@ use std::path::Path;
 /// What lights the scenes, where the folder of data has it.
 const SKY: &str = "kloppenheim_05_1k.hdr";
 
-/// Surfels of the scene `name`, lit by a sky: street, foliage, or where the folder `data` has the files, sponza, scan. None where it has
+/// Surfels of the scene `name` as they are: street, foliage, or where the folder `data` has the files, sponza, scan. None where it has
 /// not. Their count is about `count`; of the scan, points spread evenly over the file are taken.
 ///
 /// # Errors
 ///
 /// If there is no such scene, or a step fails.
-pub fn lit_surfels(name: &str, count: u64, data: &Path) -> Result<Option<Vec<Surfel>>> {
+pub fn scene_surfels(name: &str, count: u64, data: &Path) -> Result<Option<Vec<Surfel>>> {
     let (mesh, scan) = (data.join("sponza_crytek.glb"), data.join("autzen_stadium.laz"));
-    let (surfels, up) = match name {
-        "street" | "foliage" => {
-            let made = procedural_scene(&format!("demo:{name}"))?;
-            (dice(&made.scene, count)?, Vec3::Y)
-        }
-        "sponza" if mesh.is_file() => (dice(&read_scene(&mesh)?, count)?, Vec3::Y),
-        "scan" if scan.is_file() => (read_scan(&scan, count)?, Vec3::Z),
+    Ok(Some(match name {
+        "street" | "foliage" => dice(&procedural_scene(&format!("demo:{name}"))?.scene, count)?,
+        "sponza" if mesh.is_file() => dice(&read_scene(&mesh)?, count)?,
+        "scan" if scan.is_file() => read_scan(&scan, count)?,
         "sponza" | "scan" => return Ok(None),
         _ => bail!("there is no scene {name}; see --help"),
-    };
+    }))
+}
+
+/// [`scene_surfels`], lit by a sky.
+///
+/// # Errors
+///
+/// As there.
+pub fn lit_surfels(name: &str, count: u64, data: &Path) -> Result<Option<Vec<Surfel>>> {
+    let Some(surfels) = scene_surfels(name, count, data)? else { return Ok(None) };
+    let up = if name == "scan" { Vec3::Z } else { Vec3::Y };
     let folder = tempfile::tempdir()?;
     let octree = bake(&surfels, &folder.path().join("dark.pbgi"))?;
     let sky = data.join(SKY);

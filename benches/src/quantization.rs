@@ -4,7 +4,7 @@
 
 use anyhow::{Result, bail};
 use clap::Parser;
-use pbgi_benches::{bake_with, lit_surfels};
+use pbgi_benches::{bake_with, lit_surfels, scene_surfels};
 use pbgi_build::{BuildOptions, LeafRounding};
 use pbgi_cloud::Surfel;
 use pbgi_image::compare;
@@ -15,7 +15,7 @@ use pbgi_store::Octree;
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// Errors of rounding and of the cut, with receivers strewn over the surfels' rectangles.
+/// Errors of rounding and of the cut, with receivers strewn over the scene's surfaces.
 #[derive(Parser)]
 struct Arguments {
     /// Folder with sponza_crytek.glb and an environment; without it, sponza is left out.
@@ -36,6 +36,9 @@ struct Arguments {
     /// Texels along a face of the raster: coarse ones scatter more than rounding does.
     #[arg(long, default_value_t = 24)]
     raster: usize,
+    /// Leave the surfels dark, which saves most of the time: only occlusion is compared.
+    #[arg(long)]
+    dark: bool,
     /// Where to write the rows as JSON.
     #[arg(long)]
     json: Option<PathBuf>,
@@ -58,7 +61,7 @@ struct Row {
     of_cut: f64,
 }
 
-/// Receivers strewn evenly over surfels that know their rectangle, anywhere on it.
+/// Receivers strewn by area over surfels that know their rectangle, anywhere on it.
 fn strew(surfels: &[Surfel], count: usize, seed: u64) -> Result<Vec<Receiver>> {
     let mut state = seed;
     let mut next = || {
@@ -71,8 +74,17 @@ fn strew(surfels: &[Surfel], count: usize, seed: u64) -> Result<Vec<Receiver>> {
     if places.is_empty() {
         bail!("no surfel knows the rectangle it stands for");
     }
+    let mut total = 0.0;
+    let ends: Vec<f64> = places
+        .iter()
+        .map(|(surfel, _)| {
+            total += f64::from(surfel.area);
+            total
+        })
+        .collect();
     let receiver = |_| {
-        let at = (next() * places.len() as f32) as usize;
+        let wanted = f64::from(next()) * total;
+        let at = ends.partition_point(|end| *end <= wanted);
         let (surfel, [long, short]) = places[at.min(places.len() - 1)];
         let offset = long * (2.0 * next() - 1.0) + short * (2.0 * next() - 1.0);
         Receiver::diffuse(surfel.center() + offset, surfel.normal())
@@ -127,7 +139,7 @@ fn measure(scene: &str, surfels: &[Surfel], arguments: &Arguments) -> Result<Vec
         ("cut, importance", gather(&stored, &receivers, guided)?, &rounded),
     ];
     let mut rows = Vec::new();
-    for (quantity, values) in QUANTITIES {
+    for (quantity, values) in QUANTITIES.into_iter().skip(usize::from(arguments.dark)) {
         let error = |(_, found, truth): &(_, Vec<Shading>, &Vec<Shading>)| {
             compare(&values(found), &values(truth))
         };
@@ -153,7 +165,8 @@ fn main() -> Result<()> {
     let arguments = Arguments::parse();
     let mut all = Vec::new();
     for scene in &arguments.scenes {
-        let surfels = lit_surfels(scene, arguments.surfels, &arguments.data)?;
+        let make = if arguments.dark { scene_surfels } else { lit_surfels };
+        let surfels = make(scene, arguments.surfels, &arguments.data)?;
         let Some(surfels) = surfels else {
             println!("{scene}: skipped, no data in {}", arguments.data.display());
             continue;
