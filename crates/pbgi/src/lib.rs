@@ -29,6 +29,7 @@ mod memory;
 mod memory_split;
 mod output;
 mod output_path;
+mod pass_files;
 mod point_results;
 mod point_rows;
 mod points;
