@@ -77,7 +77,7 @@ fn todays_builder_writes_the_golden_bytes() {
 fn todays_reader_reads_the_golden_file() {
     golden();
     let octree = Octree::open(&golden_path(), &OpenOptions::default()).unwrap();
-    let report = octree.verify(|_| {}).unwrap();
+    let report = octree.verify(2, |_| {}).unwrap();
     assert_eq!(report.levels.iter().map(|l| l.surfels).sum::<u64>(), 5);
     let header = octree.header();
     assert_eq!((header.surfel_count, header.leaf_count, header.depth), (5, 3, 2));

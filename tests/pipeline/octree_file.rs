@@ -3,6 +3,7 @@
 use crate::support::{bake, bake_and_open, stream};
 use pbgi_build::{BuildOptions, SortedStream, StreamError, build_octree};
 use pbgi_cloud::Surfel;
+use pbgi_format::{PageKind, page_checksum};
 use pbgi_math::{MortonCode, Vec3};
 use pbgi_store::{Backend, Octree, OpenOptions, StoreError};
 use pbgi_testkit::{SurfelForm, closed_room, random_objects};
@@ -16,7 +17,7 @@ fn every_surfel_is_in_the_file_exactly_once() {
         surfels.truncate(count);
         let options = BuildOptions { leaf_surfels_max, page_bytes, ..BuildOptions::default() };
         let (_folder, octree) = bake_and_open(&surfels, &options);
-        let report = octree.verify(|_| {}).unwrap();
+        let report = octree.verify(2, |_| {}).unwrap();
         let total: u64 = report.levels.iter().map(|l| l.surfels).sum();
         assert_eq!(total, count as u64);
         assert!(octree.header().page_bytes_max as usize <= page_bytes);
@@ -89,7 +90,7 @@ fn a_hundred_thousand_surfels_at_one_place_bake() {
     let mut surfels = vec![Surfel::new(Vec3::splat(0.25), Vec3::Y, 0.01, 1e-4); 100_000];
     surfels.extend(random_objects(100, 0.02, 1));
     let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
-    let report = octree.verify(|_| {}).unwrap();
+    let report = octree.verify(2, |_| {}).unwrap();
     assert_eq!(report.levels.iter().map(|l| l.surfels).sum::<u64>(), surfels.len() as u64);
 }
 
@@ -104,7 +105,7 @@ fn both_backends_and_compression_give_the_same_pages() {
         for backend in [Backend::Map, Backend::Read] {
             let options = OpenOptions { backend, ..OpenOptions::default() };
             let octree = Octree::open(&path, &options).unwrap();
-            let mut report = octree.verify(|_| {}).unwrap();
+            let mut report = octree.verify(2, |_| {}).unwrap();
             assert!(!compress || octree.pages().iter().any(|p| p.is_compressed()));
             report.bytes_read = 0;
             reports.push(report);
@@ -135,7 +136,7 @@ fn damage_anywhere_is_named() {
         bytes[at] ^= 0x10;
         std::fs::write(&damaged, bytes).unwrap();
         let result = Octree::open(&damaged, &OpenOptions::default())
-            .and_then(|octree| octree.verify(|_| {}));
+            .and_then(|octree| octree.verify(2, |_| {}));
         // Between pages lies padding that means nothing.
         let padding = at >= 256
             && at < *pages.last().map(|p| &p.end).unwrap()
@@ -177,4 +178,76 @@ fn a_budget_that_cannot_hold_the_pins_is_refused() {
     bake(&surfels, &BuildOptions::default(), &path);
     let options = OpenOptions { cache_bytes: 1000, ..OpenOptions::default() };
     assert!(matches!(Octree::open(&path, &options), Err(StoreError::Budget { .. })));
+}
+
+/// Makes all checksums right again after bytes of pages were changed.
+fn reseal(bytes: &mut [u8]) {
+    let word = |bytes: &[u8], at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
+    let table = word(bytes, 56) as usize;
+    for entry in (table..bytes.len()).step_by(32) {
+        let start = word(bytes, entry) as usize;
+        let stored = (word(bytes, entry + 8) & 0xffff_ffff) as usize;
+        let checksum = page_checksum(&bytes[start..start + stored]);
+        bytes[entry + 16..entry + 24].copy_from_slice(&checksum.to_le_bytes());
+    }
+    let checksum = page_checksum(&bytes[table..]);
+    bytes[64..72].copy_from_slice(&checksum.to_le_bytes());
+    let checksum = page_checksum(&bytes[..248]);
+    bytes[248..256].copy_from_slice(&checksum.to_le_bytes());
+}
+
+/// Where a file contradicts itself though all its checksums are right, verifying says so.
+#[test]
+fn trees_that_contradict_themselves_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.pbgi");
+    let options = BuildOptions { page_bytes: 4096, ..BuildOptions::default() };
+    bake(&random_objects(10_000, 0.02, 7), &options, &path);
+    let good = std::fs::read(&path).unwrap();
+    let octree = Octree::open(&path, &OpenOptions::default()).unwrap();
+    let u32_at = |at: usize| u32::from_le_bytes(good[at..at + 4].try_into().unwrap());
+    // A page of nodes with leaves and with two links to other pages, and its first group.
+    let nodes = octree.pages().iter().filter(|page| page.kind == PageKind::Nodes);
+    let starts: Vec<usize> = nodes.map(|page| page.offset as usize).collect();
+    let linking = *starts.iter().find(|at| u32_at(*at + 16) >= 2).unwrap();
+    let leafy = *starts.iter().find(|at| good[*at + 32 + 39] != 0).unwrap();
+    let links = linking + u32_at(linking + 12) as usize;
+    let group = leafy + 32;
+    let children = good[group + 38].count_ones() as usize;
+    let leaf =
+        (good[group + 38] & ((1 << good[group + 39].trailing_zeros()) - 1)).count_ones() as usize;
+    type Change = Box<dyn Fn(&mut Vec<u8>)>;
+    let cases: [(&str, Change); 5] = [
+        ("linked once", Box::new(move |b| b.copy_within(links..links + 8, links + 8))),
+        ("group: links to it", Box::new(move |b| b[links + 4] ^= 4)),
+        ("link: index", Box::new(move |b| b[links..links + 4].fill(0xff))),
+        ("node page: groups", Box::new(move |b| b[leafy + 4] += 1)),
+        // One surfel less in a leaf: the page has more than its leaves.
+        ("surfel page: surfels", Box::new(move |b| b[group + 41 + 4 * leaf] -= 1)),
+    ];
+    assert!(leaf < children && u32_at(group + 41 + 4 * leaf) & 0xff > 1);
+    for (expected, change) in cases {
+        let mut bytes = good.clone();
+        change(&mut bytes);
+        assert_ne!(bytes, good, "{expected}");
+        reseal(&mut bytes);
+        std::fs::write(&path, bytes).unwrap();
+        let octree = Octree::open(&path, &OpenOptions::default()).unwrap();
+        let errors = [1, 2].map(|threads| octree.verify(threads, |_| {}).unwrap_err().to_string());
+        assert!(errors[0].contains(expected), "{expected}: {}", errors[0]);
+        assert_eq!(errors[0], errors[1]);
+    }
+}
+
+#[test]
+fn any_number_of_threads_verifies_the_same() {
+    let surfels = random_objects(50_000, 0.02, 3);
+    let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
+    let bytes: u64 = octree.pages().iter().map(|page| u64::from(page.stored_bytes)).sum();
+    assert!(bytes > 2 << 20, "more than is read at once: {bytes}");
+    let mut told = 0;
+    let one = octree.verify(1, |read| told = read).unwrap();
+    assert_eq!((told, one.bytes_read), (bytes, bytes));
+    assert_eq!(one.levels.iter().map(|level| level.surfels).sum::<u64>(), surfels.len() as u64);
+    assert_eq!(one, octree.verify(3, |_| {}).unwrap());
 }

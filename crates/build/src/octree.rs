@@ -106,10 +106,12 @@ fn finish(
     let root = match node.content {
         PendingContent::Group(group) => group,
         // A cloud that fits one leaf still gets a root group.
-        PendingContent::Leaf(_) => match tree.close_group(bounds.center(), vec![(0, node)])? {
-            PendingNode { content: PendingContent::Group(group), .. } => group,
-            PendingNode { .. } => unreachable!("closing a group gives a group"),
-        },
+        PendingContent::Leaf(_) => {
+            match tree.close_group(bounds.center(), vec![(0, node)].drain(..))? {
+                PendingNode { content: PendingContent::Group(group), .. } => group,
+                PendingNode { .. } => unreachable!("closing a group gives a group"),
+            }
+        }
     };
     let link = tree.sink.write_treelets(&[&root], &tree.settings.layout)?[0];
     let counts = tree.counts;

@@ -8,8 +8,9 @@ use pbgi_format::{
     SURFEL_PAGE_FIXED_BYTES, SURFEL_PAGE_HEADER_BYTES, SurfelFields, SurfelLayout, group_bytes,
     write_group,
 };
-use pbgi_math::{Aabb, rectangle_half_edges};
+use pbgi_math::rectangle_half_edges;
 use std::borrow::Cow;
+use std::vec::Drain;
 
 /// A closed node that waits for its parent.
 pub(crate) struct PendingNode<'s> {
@@ -39,8 +40,8 @@ impl<'s> PendingNode<'s> {
 
 /// Where the contents of a group's child are.
 enum ChildContent {
-    /// Surfels, encoded.
-    Leaf { surfels: Vec<u8>, count: u32 },
+    /// So many surfels, encoded; `end` is one past the last byte among those of the group's leaves.
+    Leaf { end: usize, count: u32 },
     /// A group of the same treelet.
     Group(Box<Group>),
     /// A group in a finished page.
@@ -60,6 +61,8 @@ pub(crate) struct Group {
     children: Vec<Child>,
     /// Lobes of all children.
     lobes: Vec<Lobe>,
+    /// Encoded surfels of the children that are leaves.
+    leaf_bytes: Vec<u8>,
     /// Bytes of the whole treelet's groups.
     groups_bytes: usize,
     /// Bytes of the whole treelet's links to other pages.
@@ -75,7 +78,7 @@ impl Group {
     pub fn new(
         split: pbgi_math::Vec3,
         aggregate: &NodeAggregate,
-        nodes: Vec<(u32, PendingNode<'_>)>,
+        nodes: Drain<'_, (u32, PendingNode<'_>)>,
         layout: &SurfelLayout,
         writer: &mut LeafWriter,
     ) -> Self {
@@ -89,8 +92,9 @@ impl Group {
             leaves: 0,
         };
         let mut children = Vec::with_capacity(nodes.len());
-        let lobe_count = nodes.iter().map(|(_, node)| node.aggregate.lobes.len()).sum();
+        let lobe_count = nodes.as_slice().iter().map(|(_, node)| node.aggregate.lobes.len()).sum();
         let mut lobes = Vec::with_capacity(lobe_count);
+        let mut leaf_bytes = Vec::with_capacity(leaf_bytes_guess(nodes.as_slice()));
         let mut depth = 0;
         for (octant, node) in nodes {
             fields.octants |= 1 << octant;
@@ -98,7 +102,9 @@ impl Group {
             let content = match node.content {
                 PendingContent::Leaf(surfels) => {
                     fields.leaves |= 1 << octant;
-                    encode_leaf(&surfels, &stored_box.leaf_frame(&bounds), layout, writer)
+                    push_surfels(&surfels, layout, writer);
+                    writer.finish(&stored_box.leaf_frame(&bounds), layout, &mut leaf_bytes);
+                    ChildContent::Leaf { end: leaf_bytes.len(), count: surfels.len() as u32 }
                 }
                 PendingContent::Group(group) => {
                     depth = depth.max(group.depth);
@@ -113,6 +119,7 @@ impl Group {
             fields,
             children,
             lobes,
+            leaf_bytes,
             groups_bytes: 0,
             link_bytes: 0,
             surfel_bytes: 0,
@@ -148,10 +155,10 @@ impl Group {
     fn measure(&mut self, layout: &SurfelLayout) {
         let (hot, lobes) = self.own_bytes(layout);
         self.groups_bytes = (hot + lobes) as usize;
-        (self.link_bytes, self.surfel_bytes) = (0, 0);
+        (self.link_bytes, self.surfel_bytes) = (0, self.leaf_bytes.len());
         for child in &self.children {
             match &child.content {
-                ChildContent::Leaf { surfels, .. } => self.surfel_bytes += surfels.len(),
+                ChildContent::Leaf { .. } => {}
                 ChildContent::Group(group) => {
                     self.groups_bytes += group.groups_bytes;
                     self.link_bytes += group.link_bytes;
@@ -219,12 +226,16 @@ impl Group {
     }
 }
 
-fn encode_leaf(
-    surfels: &[Surfel],
-    frame: &Aabb,
-    layout: &SurfelLayout,
-    writer: &mut LeafWriter,
-) -> ChildContent {
+/// Room for the surfels of those nodes that are leaves: most take less, and a leaf's own fields as much as a few.
+fn leaf_bytes_guess(nodes: &[(u32, PendingNode<'_>)]) -> usize {
+    let bytes = |(_, node): &(u32, PendingNode<'_>)| match &node.content {
+        PendingContent::Leaf(surfels) => 32 + 8 * surfels.len(),
+        PendingContent::Group(_) => 0,
+    };
+    nodes.iter().map(bytes).sum()
+}
+
+fn push_surfels(surfels: &[Surfel], layout: &SurfelLayout, writer: &mut LeafWriter) {
     for surfel in surfels {
         let is_tile = surfel.tile().is_known();
         let size = match is_tile {
@@ -243,10 +254,6 @@ fn encode_leaf(
         };
         writer.push(&fields, layout);
     }
-    // Most surfels take less than these; the leaf's own fields take as much as a few.
-    let mut bytes = Vec::with_capacity(32 + 8 * surfels.len());
-    writer.finish(frame, layout, &mut bytes);
-    ChildContent::Leaf { surfels: bytes, count: surfels.len() as u32 }
 }
 
 /// The bytes of a page pair made of treelets.
@@ -289,12 +296,14 @@ fn pack_group(group: &Group, layout: &SurfelLayout, packed: &mut PackedTreelets)
     // Offsets of child groups follow from the sizes of the treelets before them.
     let mut next_offset = packed.nodes.len() + (hot + lobes) as usize;
     let mut children: Vec<(ChildLink, ChildBox, &[Lobe])> = Vec::with_capacity(8);
-    let mut lobes_start = 0;
+    let (mut lobes_start, mut leaf_start) = (0, 0);
+    let leaves_offset = packed.surfels.len();
+    packed.surfels.extend_from_slice(&group.leaf_bytes);
     for child in &group.children {
         let link = match &child.content {
-            ChildContent::Leaf { surfels, count } => {
-                let offset = packed.surfels.len() as u32;
-                packed.surfels.extend_from_slice(surfels);
+            ChildContent::Leaf { end, count } => {
+                let offset = (leaves_offset + leaf_start) as u32;
+                leaf_start = *end;
                 packed.surfel_count += count;
                 ChildLink::Leaf { offset, count: *count }
             }

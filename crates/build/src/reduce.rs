@@ -62,6 +62,9 @@ impl Candidate {
         let (v, w) = (self.length, other.length);
         let cancelled = v + w - (a.vector + b.vector).length();
         let (l, m) = (self.luminance, other.luminance);
+        if l == m {
+            return cancelled;
+        }
         let contrast = if l + m > 0.0 { f64::from((l - m).abs() / (l + m)) } else { 0.0 };
         let roundness = (v / a.area - w / b.area).abs() * a.area.min(b.area);
         let glare = ((contrast - LAMP_CONTRAST) / (1.0 - LAMP_CONTRAST)).max(0.0);

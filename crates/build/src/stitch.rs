@@ -89,7 +89,7 @@ impl<'a> Stitcher<'a> {
             return Ok(children.pop().map(|(_, child)| child));
         }
         let split = root.cell_box(cell, level).center();
-        self.tree.close_group(split, children).map(Some)
+        self.tree.close_group(split, children.drain(..)).map(Some)
     }
 
     /// A balanced tree over all leaves of one code.

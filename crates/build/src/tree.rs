@@ -12,6 +12,7 @@ use pbgi_cloud::Surfel;
 use pbgi_format::{CHILDREN_MAX, LeafRounding, LeafWriter, SurfelLayout};
 use pbgi_math::{MORTON_AXIS_BITS, MortonCode, RootCube, Vec3};
 use std::borrow::Cow;
+use std::vec::Drain;
 
 /// What every part of a build knows.
 #[derive(Clone, Copy)]
@@ -77,6 +78,16 @@ impl<S: PageSink> TreeBuilder<S> {
         codes: &[MortonCode],
         surfels: &'s [Surfel],
     ) -> Result<PendingNode<'s>, BuildError> {
+        self.build_cell(codes, surfels, &mut Vec::new())
+    }
+
+    /// The same; `open` holds the closed children of open cells, and does so again afterwards.
+    fn build_cell<'s>(
+        &mut self,
+        codes: &[MortonCode],
+        surfels: &'s [Surfel],
+        open: &mut Vec<(u32, PendingNode<'s>)>,
+    ) -> Result<PendingNode<'s>, BuildError> {
         if surfels.len() <= self.settings.leaf_surfels_max {
             return Ok(PendingNode::leaf(&mut self.reducer, Cow::Borrowed(surfels)));
         }
@@ -92,15 +103,16 @@ impl<S: PageSink> TreeBuilder<S> {
             };
             return self.build_list(split, &mut next);
         }
-        let mut children = Vec::with_capacity(CHILDREN_MAX);
+        let first_child = open.len();
         let mut start = 0;
         while start < codes.len() {
             let octant = codes[start].octant(level);
             let end = start + octant_len(&codes[start..], level);
-            children.push((octant, self.build(&codes[start..end], &surfels[start..end])?));
+            let child = self.build_cell(&codes[start..end], &surfels[start..end], open)?;
+            open.push((octant, child));
             start = end;
         }
-        self.close_group(split, children)
+        self.close_group(split, open.drain(first_child..))
     }
 
     /// A balanced tree over leaves of one Morton code, joined eight by eight; there is at least one.
@@ -147,8 +159,8 @@ impl<S: PageSink> TreeBuilder<S> {
         split: Vec3,
         nodes: Vec<PendingNode<'s>>,
     ) -> Result<PendingNode<'s>, BuildError> {
-        let children = nodes.into_iter().enumerate().map(|(i, n)| (i as u32, n)).collect();
-        self.close_group(split, children)
+        let mut children: Vec<_> = (0..).zip(nodes).collect();
+        self.close_group(split, children.drain(..))
     }
 
     /// Turns closed children into a group; where its treelet outgrows a page, moves the children's
@@ -156,11 +168,11 @@ impl<S: PageSink> TreeBuilder<S> {
     pub fn close_group<'s>(
         &mut self,
         split: Vec3,
-        children: Vec<(u32, PendingNode<'s>)>,
+        children: Drain<'_, (u32, PendingNode<'s>)>,
     ) -> Result<PendingNode<'s>, BuildError> {
         let Self { settings, sink, counts, reducer, leaf_writer } = self;
         let layout = &settings.layout;
-        let parts = children.iter().map(|(_, child)| &child.aggregate);
+        let parts = children.as_slice().iter().map(|(_, child)| &child.aggregate);
         let aggregate = NodeAggregate::from_children_with(reducer, parts);
         let mut group = Group::new(split, &aggregate, children, layout, leaf_writer);
         let (leaves, nodes) = group.counts();

@@ -111,7 +111,8 @@ pub struct CutScratch {
 /// below it, whose pages are never read; small enough for `threshold`, it is taken as one; a leaf
 /// gives its surfels, nearest first; else the walk descends. Seen from any point, an octant whose
 /// index differs from the receiver's own octant in fewer planes is never behind one that differs in
-/// those and more: visiting `step XOR own` in ascending `step` is front to back.
+/// those and more: visiting `step XOR own` in ascending `step` is front to back. What lies in damaged pages that are skipped counts as
+/// nothing; the root's page is never skipped.
 ///
 /// # Errors
 ///
@@ -192,7 +193,8 @@ pub fn pick_cut<V: CutVisitor, T: Threshold>(
                     let error = bad_link("link: index", link);
                     return Err(invalid(reader, frame.page_id, error));
                 };
-                (reader.pin_page(link.page)?, link.page, link.offset)
+                let Some(page) = reader.pin_sound_page(link.page)? else { continue };
+                (page, link.page, link.offset)
             }
         };
         if frames.len() >= header.depth as usize {
@@ -370,7 +372,7 @@ fn take_leaf<V: CutVisitor>(
     let Some(id) = leaf.page else {
         return Err(reader.invalid_page(leaf.owner, bad_link("leaf: surfel page", u32::MAX)));
     };
-    let page = reader.pin_page(id)?;
+    let Some(page) = reader.pin_sound_page(id)? else { return Ok(()) };
     let surfels =
         SurfelPage::new(page.bytes()).and_then(|page| page.leaf(leaf.place, &leaf.frame, layout));
     let surfels = match surfels {

@@ -158,6 +158,19 @@ pub struct LeafView<'a> {
     albedo: Above,
 }
 
+/// What is stored of a surfel between its position and its colors.
+struct Shape {
+    /// First bit of its colors.
+    end: usize,
+    normal: Vec3,
+    tile: TileCode,
+    radius: f32,
+    half_long: f32,
+    area: f32,
+    isotropic: bool,
+    front_only: bool,
+}
+
 /// Reads a leaf's fields in order; past the end of the page all bytes are 0, and `end` says so.
 struct Fields<'a> {
     page: &'a [u8],
@@ -397,14 +410,9 @@ impl<'a> LeafView<'a> {
         center
     }
 
-    /// Surfel `index`, decoded.
-    ///
-    /// # Panics
-    ///
-    /// May panic where the leaf has no surfel `index`.
-    #[must_use]
+    /// Orientation and size of surfel `index`.
     #[inline(always)]
-    pub fn surfel(&self, index: u32) -> LeafSurfel {
+    fn shape(&self, index: u32) -> Shape {
         let mut at = self.start(index) + self.position_width.iter().sum::<u32>() as usize;
         let mut take = |width: u32| {
             let number = read_bits(self.page, at, width);
@@ -429,6 +437,37 @@ impl<'a> LeafView<'a> {
             let half_short = 0.25 * area / size;
             (radius, half_long) = ((size * size + half_short * half_short).sqrt(), size);
         }
+        let front_only = area_code & !CODE_MASK != 0;
+        Shape { end: at, normal, tile, radius, half_long, area, isotropic, front_only }
+    }
+
+    /// Radius of the covering disk and true area of surfel `index`.
+    ///
+    /// # Panics
+    ///
+    /// May panic where the leaf has no surfel `index`.
+    #[must_use]
+    #[inline(always)]
+    pub fn size(&self, index: u32) -> (f32, f32) {
+        let Shape { radius, area, .. } = self.shape(index);
+        (radius, area)
+    }
+
+    /// Surfel `index`, decoded.
+    ///
+    /// # Panics
+    ///
+    /// May panic where the leaf has no surfel `index`.
+    #[must_use]
+    #[inline(always)]
+    pub fn surfel(&self, index: u32) -> LeafSurfel {
+        let Shape { end: mut at, normal, tile, radius, half_long, area, isotropic, front_only } =
+            self.shape(index);
+        let mut take = |width: u32| {
+            let number = read_bits(self.page, at, width);
+            at += width as usize;
+            number
+        };
         let radiance = self.radiance.width.map(&mut take);
         let albedo = self.albedo.width.map(&mut take);
         LeafSurfel {
@@ -441,7 +480,7 @@ impl<'a> LeafView<'a> {
             radiance: self.radiance(radiance),
             albedo: self.albedo(albedo),
             isotropic,
-            front_only: area_code & !CODE_MASK != 0,
+            front_only,
         }
     }
 

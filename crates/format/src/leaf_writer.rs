@@ -1,9 +1,9 @@
 //! How a leaf is stored: for each kind of field what its surfels share, and the least bits for what they do not.
 
-use crate::bits::{BitWriter, index_bits, number_bits};
+use crate::bits::{BitWriter, PUSH_BITS_MAX, Word, index_bits, number_bits};
 use crate::leaf::{CODE_MASK, OrientationMode, PositionFrame, SizeMode, WIDTH_BITS};
 use crate::surfel::{RADIANCE, SIZE_RATIO, encode_albedo};
-use crate::{Channels, MiniFloat, SurfelLayout};
+use crate::{Channels, SurfelLayout};
 use pbgi_math::{Aabb, Vec3, narrow_octahedral24};
 
 /// Most bits of a coordinate.
@@ -40,16 +40,23 @@ const SIZE_RATIO_TOLERANCE: f32 = 1.0 / 128.0;
 /// need more than `RADIANCE_WIDTH_MAX` bits. Below `RADIANCE_SPAN` under the leaf's brightest channel (16 octaves) is 0.
 const RADIANCE_SHIFT_MIN: u32 = 4;
 const RADIANCE_WIDTH_MAX: u32 = 8;
+/// The same where steps are to be as fine as can be: eight octaves of all codes.
+const FINEST_RADIANCE_WIDTH_MAX: u32 = 12;
 const RADIANCE_SPAN: u32 = 16 << 9;
 
 /// Bits of an orientation that hold the normal.
 const NORMAL_BITS: u32 = 0xff_ffff;
 
-/// Bits of [`Codes::sizes`] that are flags.
-const SIZE_FLAGS: u32 = !(CODE_MASK | CODE_MASK << 16);
-
 /// Bits of an albedo's channel at most, above the leaf's least.
 const ALBEDO_WIDTH_MAX: u32 = 6;
+
+/// What [`LeafWriter::record`] puts into one word fits it.
+const _: () = assert!(3 * POSITION_WIDTH_MAX <= PUSH_BITS_MAX);
+const _: () = assert!(3 * (RADIANCE_WIDTH_MAX + ALBEDO_WIDTH_MAX) <= PUSH_BITS_MAX);
+const _: () = assert!(3 * (FINEST_RADIANCE_WIDTH_MAX + ALBEDO_WIDTH_MAX) <= PUSH_BITS_MAX);
+
+/// Where a pair of codes of size and area has its flags.
+const FLAGS_MASK: u32 = !(CODE_MASK | CODE_MASK << 16);
 
 /// How much a leaf rounds what it stores.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -101,7 +108,9 @@ struct Listed {
 }
 
 impl Listed {
-    fn collect(&mut self, all: impl Iterator<Item = u32>) {
+    /// Lists values of so many bytes. Whether list and indices take at most `bits_max` bits; where they do not, only the first value is sure to be there.
+    fn collect(&mut self, all: impl Iterator<Item = u32>, value_bytes: u32, bits_max: u32) -> bool {
+        let values_max = bits_max.saturating_sub(8) / (8 * value_bytes);
         self.values.clear();
         self.indices.clear();
         let mut last = 0;
@@ -110,20 +119,19 @@ impl Listed {
                 last = self.values.iter().position(|&v| v == value).unwrap_or(self.values.len());
                 if last == self.values.len() {
                     self.values.push(value);
+                    if last >= values_max as usize {
+                        return false;
+                    }
                 }
             }
             self.indices.push(last as u8);
         }
+        let index_bits = self.indices.len() as u32 * self.index_bits();
+        8 + self.values.len() as u32 * 8 * value_bytes + index_bits <= bits_max
     }
 
     fn index_bits(&self) -> u32 {
         index_bits(self.values.len())
-    }
-
-    /// Bits of the list, of values of so many bytes, and of all indices into it.
-    fn cost(&self, value_bytes: u32) -> u32 {
-        8 + self.values.len() as u32 * 8 * value_bytes
-            + self.indices.len() as u32 * self.index_bits()
     }
 
     fn write(&self, value_bytes: usize, out: &mut Vec<u8>) {
@@ -131,6 +139,12 @@ impl Listed {
         for value in &self.values {
             out.extend_from_slice(&value.to_le_bytes()[..value_bytes]);
         }
+    }
+
+    /// Adds the index of surfel `index`.
+    #[inline(always)]
+    fn push_index(&self, index: usize, word: Word) -> Word {
+        word.with(self.indices[index].into(), self.index_bits())
     }
 }
 
@@ -193,6 +207,21 @@ fn least_exponent(x: f32) -> u32 {
     (x.to_bits() >> 23).saturating_sub(126)
 }
 
+/// The least and the largest of some codes.
+#[derive(Clone, Copy)]
+struct Span {
+    least: u32,
+    largest: u32,
+}
+
+impl Span {
+    const NONE: Self = Self { least: CODE_MASK, largest: 0 };
+
+    fn with(self, code: u32) -> Self {
+        Self { least: self.least.min(code), largest: self.largest.max(code) }
+    }
+}
+
 /// Numbers below a largest one.
 #[derive(Clone, Copy, Default)]
 struct Below {
@@ -202,11 +231,8 @@ struct Below {
 }
 
 impl Below {
-    fn fit(codes: impl Iterator<Item = u32>, shift: u32) -> Self {
-        let (mut least, mut largest) = (CODE_MASK, 0);
-        for code in codes {
-            (least, largest) = (least.min(code), largest.max(code));
-        }
+    /// For codes from `least` to `largest`.
+    fn fit(Span { least, largest }: Span, shift: u32) -> Self {
         let fit = Self { largest, shift, width: 0 };
         Self { width: number_bits(fit.steps(least)), ..fit }
     }
@@ -286,8 +312,19 @@ impl Above {
     }
 }
 
+/// How the surfels of a leaf are stored.
+struct Form {
+    axes: [Axis; 3],
+    orientation: OrientationMode,
+    size: SizeMode,
+    radius: Below,
+    area: Below,
+    radiance: Above,
+    /// `None` where albedos are listed.
+    albedo: Option<Above>,
+}
+
 /// Encodes leaves, one after the other; keeps its memory.
-#[derive(Default)]
 pub struct LeafWriter {
     rounding: LeafRounding,
     surfels: Vec<Codes>,
@@ -297,9 +334,33 @@ pub struct LeafWriter {
     any_isotropic: bool,
     /// Least and largest square of the size over the area.
     ratio: Option<(f32, f32)>,
+    /// Codes of sizes and areas.
+    size_span: Span,
+    area_span: Span,
     orientations: Listed,
     sizes: Listed,
     albedos: Listed,
+    /// Coordinates of the leaf under way.
+    places: Vec<[f32; 3]>,
+}
+
+impl Default for LeafWriter {
+    fn default() -> Self {
+        Self {
+            rounding: LeafRounding::default(),
+            surfels: Vec::new(),
+            tile_edge: None,
+            area_sum: 0.0,
+            any_isotropic: false,
+            ratio: None,
+            size_span: Span::NONE,
+            area_span: Span::NONE,
+            orientations: Listed::default(),
+            sizes: Listed::default(),
+            albedos: Listed::default(),
+            places: Vec::new(),
+        }
+    }
 }
 
 impl LeafWriter {
@@ -328,6 +389,8 @@ impl LeafWriter {
         self.ratio = Some((least.min(ratio), largest.max(ratio)));
         let size = u32::from(layout.radius.encode(surfel.size).max(1));
         let area = u32::from(layout.area.encode(surfel.area).max(1));
+        self.size_span = self.size_span.with(size);
+        self.area_span = self.area_span.with(area);
         let flags = u32::from(surfel.isotropic) << 15 | u32::from(surfel.front_only) << 31;
         let mut codes = Codes {
             center: surfel.center,
@@ -354,15 +417,13 @@ impl LeafWriter {
     pub fn finish(&mut self, frame: &Aabb, layout: &SurfelLayout, out: &mut Vec<u8>) {
         let count = self.surfels.len();
         assert!((1..=255).contains(&count), "a leaf holds 1 to 255 surfels");
-        self.orientations.collect(self.surfels.iter().map(|s| s.orientation));
-        self.sizes.collect(self.surfels.iter().map(|s| s.sizes));
         let orientation = self.choose_orientation();
         let is_plane = orientation == OrientationMode::Plane;
-        let places = match is_plane {
+        let frame = match is_plane {
             true => PositionFrame::of_plane(frame, self.orientations.values[0]),
             false => PositionFrame::of_box(frame),
         };
-        let axes = self.fit_axes(&places, is_plane, layout);
+        let axes = self.fit_axes(&frame, is_plane, layout);
         let (size, radius, area) = self.choose_sizes();
         let widths = axes[0].width | axes[1].width << 4 | axes[2].width << 8;
         let control = widths | (orientation as u32) << 12 | (size as u32) << 14;
@@ -382,54 +443,70 @@ impl LeafWriter {
         self.write_sizes(size, &radius, &area, out);
         let radiance = self.write_radiance(layout, out);
         let albedo = self.write_albedo(layout, out);
-        let mut bits = BitWriter::new(out);
-        for (index, surfel) in self.surfels.iter().enumerate() {
-            for (axis, stored) in axes.iter().enumerate() {
-                if stored.width > 0 {
-                    bits.push(stored.code(places.coordinate(axis, surfel.center)), stored.width);
-                }
-            }
-            match orientation {
-                OrientationMode::Listed | OrientationMode::Plane => {
-                    let listed = &self.orientations;
-                    bits.push(listed.indices[index].into(), listed.index_bits());
-                }
-                OrientationMode::Narrow => bits.push(narrow_octahedral24(surfel.orientation), 20),
-                OrientationMode::Wide => bits.push(surfel.orientation, 32),
-            }
-            match size {
-                SizeMode::Listed => {
-                    bits.push(self.sizes.indices[index].into(), self.sizes.index_bits());
-                }
-                SizeMode::Area => bits.push(area.steps(area_code(surfel)), area.width),
-                SizeMode::Both => {
-                    bits.push(radius.steps(radius_code(surfel)), radius.width);
-                    bits.push(area.steps(area_code(surfel)), area.width);
-                }
-                SizeMode::Wide => bits.push(surfel.sizes, 32),
-            }
-            push_all(&mut bits, radiance.steps(surfel.radiance), radiance.width);
-            match &albedo {
-                None => bits.push(self.albedos.indices[index].into(), self.albedos.index_bits()),
-                Some(fit) => push_all(&mut bits, fit.steps(albedo_codes(surfel)), fit.width),
+        let form = Form { axes, orientation, size, radius, area, radiance, albedo };
+        let record_bits: u32 = self.record(0, &form).iter().map(|word| word.width).sum();
+        let mut bits = BitWriter::new(out, count * record_bits as usize);
+        for index in 0..count {
+            for word in self.record(index, &form) {
+                bits.push(word.number, word.width);
             }
         }
         bits.finish();
         self.forget();
     }
 
+    /// A surfel as it is stored: its place, its orientation, its size and area, its light and albedo.
+    #[inline(always)]
+    fn record(&self, index: usize, form: &Form) -> [Word; 4] {
+        let Form { radius, area, radiance, .. } = form;
+        let surfel = &self.surfels[index];
+        let word = Word::default();
+        let mut place = word;
+        for (axis, coordinate) in form.axes.iter().zip(self.places[index]) {
+            if axis.width > 0 {
+                place = place.with(axis.code(coordinate), axis.width);
+            }
+        }
+        let turn = match form.orientation {
+            OrientationMode::Listed | OrientationMode::Plane => {
+                self.orientations.push_index(index, word)
+            }
+            OrientationMode::Narrow => word.with(narrow_octahedral24(surfel.orientation), 20),
+            OrientationMode::Wide => word.with(surfel.orientation, 32),
+        };
+        let sizes = match form.size {
+            SizeMode::Listed => self.sizes.push_index(index, word),
+            SizeMode::Area => word.with(area.steps(area_code(surfel)), area.width),
+            SizeMode::Both => word
+                .with(radius.steps(radius_code(surfel)), radius.width)
+                .with(area.steps(area_code(surfel)), area.width),
+            SizeMode::Wide => word.with(surfel.sizes, 32),
+        };
+        let light = push_all(word, radiance.steps(surfel.radiance), radiance.width);
+        let color = match &form.albedo {
+            None => self.albedos.push_index(index, light),
+            Some(fit) => push_all(light, fit.steps(albedo_codes(surfel)), fit.width),
+        };
+        [place, turn, sizes, color]
+    }
+
     fn forget(&mut self) {
         self.surfels.clear();
         (self.tile_edge, self.ratio, self.area_sum) = (None, None, 0.0);
+        (self.size_span, self.area_span) = (Span::NONE, Span::NONE);
         self.any_isotropic = false;
     }
 
-    /// Widths of the coordinates: steps small against the surfels.
-    fn fit_axes(&self, places: &PositionFrame, is_plane: bool, layout: &SurfelLayout) -> [Axis; 3] {
+    /// Finds all coordinates, and their widths: steps small against the surfels.
+    fn fit_axes(
+        &mut self,
+        frame: &PositionFrame,
+        is_plane: bool,
+        layout: &SurfelLayout,
+    ) -> [Axis; 3] {
         let half_edge = |area: f32| 0.5 * area.sqrt();
         let mean = half_edge(self.area_sum / self.surfels.len() as f32);
-        let least = self.surfels.iter().map(area_code).min().unwrap_or(0);
-        let least = half_edge(layout.area.decode(least as u16));
+        let least = half_edge(layout.area.decode(self.area_span.least as u16));
         let tile = self.tile_edge.unwrap_or(f32::MAX);
         let step = |steps: &StepsPerEdge| match self.rounding {
             LeafRounding::Compact => {
@@ -438,13 +515,18 @@ impl LeafWriter {
             // No more bits than there are make a step of nothing.
             LeafRounding::Finest => 0.0,
         };
-        std::array::from_fn(|axis| {
-            let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
-            for surfel in &self.surfels {
-                let x = places.coordinate(axis, surfel.center);
-                (low, high) = (low.min(x), high.max(x));
+        let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+        self.places.clear();
+        for surfel in &self.surfels {
+            let place: [f32; 3] = std::array::from_fn(|axis| frame.coordinate(axis, surfel.center));
+            for axis in 0..3 {
+                low[axis] = low[axis].min(place[axis]);
+                high[axis] = high[axis].max(place[axis]);
             }
-            let (range, extent) = ((low, high), 2.0 * places.half[axis]);
+            self.places.push(place);
+        }
+        std::array::from_fn(|axis| {
+            let (range, extent) = ((low[axis], high[axis]), 2.0 * frame.half[axis]);
             match (is_plane, axis) {
                 (true, 2) => Axis::fit_heights(range, extent, step(&ACROSS)),
                 (true, _) => Axis::fit(range, extent, step(&ALONG)),
@@ -453,14 +535,14 @@ impl LeafWriter {
         })
     }
 
-    fn choose_orientation(&self) -> OrientationMode {
-        let count = self.surfels.len() as u32;
-        let listed = self.orientations.cost(4);
+    fn choose_orientation(&mut self) -> OrientationMode {
         let is_wide = self.tile_edge.is_some() || self.is_finest();
-        let normal = |orientation: u32| orientation & NORMAL_BITS;
-        let first = self.orientations.values[0];
-        if listed <= count * if is_wide { 32 } else { 20 } {
-            let is_one = self.orientations.values.iter().all(|&o| normal(o) == normal(first));
+        let bits_max = self.surfels.len() as u32 * if is_wide { 32 } else { 20 };
+        let all = self.surfels.iter().map(|s| s.orientation);
+        if self.orientations.collect(all, 4, bits_max) {
+            let normal = |orientation: u32| orientation & NORMAL_BITS;
+            let values = &self.orientations.values;
+            let is_one = values.iter().all(|&o| normal(o) == normal(values[0]));
             let is_plane = is_one && !self.any_isotropic;
             if is_plane { OrientationMode::Plane } else { OrientationMode::Listed }
         } else if is_wide {
@@ -470,35 +552,38 @@ impl LeafWriter {
         }
     }
 
-    fn choose_sizes(&self) -> (SizeMode, Below, Below) {
+    fn choose_sizes(&mut self) -> (SizeMode, Below, Below) {
         let count = self.surfels.len() as u32;
-        let all = || self.surfels.iter();
         let has_tiles = self.tile_edge.is_some();
         let shift = if has_tiles { TILE_SIZE_SHIFT } else { DISK_SIZE_SHIFT };
-        let radius = Below::fit(all().map(radius_code), shift);
-        let area = Below::fit(all().map(area_code), shift);
-        let flags = self.surfels[0].sizes & SIZE_FLAGS;
+        let radius = Below::fit(self.size_span, shift);
+        let area = Below::fit(self.area_span, shift);
         let mut best = (32 * count, SizeMode::Wide);
-        let listed = self.sizes.cost(4);
-        if listed < best.0 {
-            best = (listed, SizeMode::Listed);
-        }
-        if !self.is_finest() && all().all(|s| s.sizes & SIZE_FLAGS == flags) {
+        // A list is taken where it is shorter than this.
+        let mut list_bits_max = best.0 - 1;
+        let flags = self.surfels[0].sizes & FLAGS_MASK;
+        if !self.is_finest() && self.surfels.iter().all(|s| s.sizes & FLAGS_MASK == flags) {
             let both = 48 + count * (radius.width + area.width);
+            let one = 40 + count * area.width;
+            let (least, largest) = self.ratio.unwrap_or_default();
+            let has_ratio = !has_tiles && largest <= least * (1.0 + SIZE_RATIO_TOLERANCE);
             if both < best.0 {
                 best = (both, SizeMode::Both);
             }
-            let one = 40 + count * area.width;
-            let (least, largest) = self.ratio.unwrap_or_default();
-            if !has_tiles && largest <= least * (1.0 + SIZE_RATIO_TOLERANCE) && one < best.0 {
+            if has_ratio && one < best.0 {
                 best = (one, SizeMode::Area);
             }
+            list_bits_max = list_bits_max.min(best.0);
+        }
+        let all = self.surfels.iter().map(|s| s.sizes);
+        if self.sizes.collect(all, 4, list_bits_max) {
+            best.1 = SizeMode::Listed;
         }
         (best.1, radius, area)
     }
 
     fn write_sizes(&self, size: SizeMode, radius: &Below, area: &Below, out: &mut Vec<u8>) {
-        let flags = self.surfels[0].sizes & SIZE_FLAGS;
+        let flags = self.surfels[0].sizes & FLAGS_MASK;
         let (isotropic, front_only) = (flags & 0xffff, flags >> 16);
         let largest = |below: &Below, flag: u32| ((below.largest | flag) as u16).to_le_bytes();
         match size {
@@ -525,7 +610,7 @@ impl LeafWriter {
         }
         let limits = match self.rounding {
             LeafRounding::Compact => (RADIANCE_SHIFT_MIN, RADIANCE_WIDTH_MAX),
-            LeafRounding::Finest => (0, MiniFloat::BITS),
+            LeafRounding::Finest => (0, FINEST_RADIANCE_WIDTH_MAX),
         };
         let fit = Above::fit(self.surfels.iter().map(|s| s.radiance), limits, RADIANCE_SPAN);
         out.extend_from_slice(&fit.control().to_le_bytes());
@@ -542,10 +627,9 @@ impl LeafWriter {
         if !layout.albedo {
             return Some(Above::default());
         }
-        self.albedos.collect(self.surfels.iter().map(|s| s.albedo));
-        let width_max = if self.is_finest() { u8::BITS } else { ALBEDO_WIDTH_MAX };
-        let fit = Above::fit(self.surfels.iter().map(albedo_codes), (0, width_max), 0);
-        if self.albedos.cost(3) <= 48 + self.surfels.len() as u32 * fit.bits() {
+        let fit = Above::fit(self.surfels.iter().map(albedo_codes), (0, ALBEDO_WIDTH_MAX), 0);
+        let all = self.surfels.iter().map(|s| s.albedo);
+        if self.albedos.collect(all, 3, 48 + self.surfels.len() as u32 * fit.bits()) {
             self.albedos.write(3, out);
             return None;
         }
@@ -564,10 +648,9 @@ fn round_shift(x: u32, shift: u32) -> u32 {
     steps + u32::from(rest > 1 << shift)
 }
 
-fn push_all(bits: &mut BitWriter<'_>, numbers: [u32; 3], widths: [u32; 3]) {
-    for (number, width) in numbers.into_iter().zip(widths) {
-        bits.push(number, width);
-    }
+#[inline(always)]
+fn push_all(word: Word, numbers: [u32; 3], widths: [u32; 3]) -> Word {
+    numbers.into_iter().zip(widths).fold(word, |word, (number, width)| word.with(number, width))
 }
 
 fn radius_code(surfel: &Codes) -> u32 {
@@ -585,7 +668,7 @@ fn albedo_codes(surfel: &Codes) -> [u32; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{LeafSurfel, LeafView, SURFEL_PAGE_HEADER_BYTES, finish_surfel_page};
+    use crate::{LeafSurfel, LeafView, MiniFloat, SURFEL_PAGE_HEADER_BYTES, finish_surfel_page};
     use pbgi_math::{TileCode, decode_octahedral24, encode_octahedral24};
 
     const LAYOUT: SurfelLayout = SurfelLayout {
@@ -729,7 +812,7 @@ mod tests {
                 for channel in 0..3 {
                     assert!((back.radiance[channel] / surfel.radiance[channel] - 1.0).abs() < 1e-3);
                     let error = back.albedo[channel].sqrt() - surfel.albedo[channel].sqrt();
-                    assert!(error.abs() <= 0.51 / 255.0);
+                    assert!(error.abs() <= 2.51 / 255.0);
                 }
             }
         }

@@ -1,6 +1,7 @@
 //! What all command-line tools share: options, sizes, Ctrl-C, exit codes.
 
 use crate::{PbgiError, Progress, ProgressMode, Verbosity};
+use pbgi_store::Backend;
 use std::io::{ErrorKind, Write};
 use std::path::Path;
 use std::process::ExitCode;
@@ -72,6 +73,25 @@ impl CommonArgs {
             )));
         }
         Ok(())
+    }
+}
+
+/// How an octree file is read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum IoMode {
+    /// By reads of whole pages; a file that gets shorter meanwhile is an error
+    #[default]
+    Read,
+    /// Through a map of the file; not for network disks
+    Map,
+}
+
+impl From<IoMode> for Backend {
+    fn from(mode: IoMode) -> Self {
+        match mode {
+            IoMode::Read => Self::Read,
+            IoMode::Map => Self::Map,
+        }
     }
 }
 

@@ -1,11 +1,10 @@
 //! What an octree file holds: its header, its pages counted.
 
 use crate::PbgiError;
-use crate::bake_memory::reader_cache_bytes;
 use crate::cli::format_table;
 use crate::progress::format_bytes;
 use pbgi_format::{Channels, FORMAT_VERSION, Lobe, PageKind};
-use pbgi_store::{Octree, OpenOptions, VerifyReport};
+use pbgi_store::{Backend, Octree, OpenOptions, VerifyReport};
 use serde::Serialize;
 use std::path::Path;
 use std::time::Instant;
@@ -192,15 +191,22 @@ pub struct LevelInfo {
 }
 
 impl OctreeCheck {
-    /// Reads every page and checks every invariant readers rely on. `tick` is told the bytes read.
+    /// Reads every page once, on so many threads, and checks every invariant readers rely on. `tick` is told the bytes read.
     ///
     /// # Errors
     ///
     /// Names the first damage.
-    pub fn read(path: &Path, memory_limit: u64, tick: impl FnMut(u64)) -> Result<Self, PbgiError> {
+    pub fn read(
+        path: &Path,
+        backend: Backend,
+        threads: usize,
+        tick: impl FnMut(u64),
+    ) -> Result<Self, PbgiError> {
         let start = Instant::now();
-        let octree = open(path, reader_cache_bytes(memory_limit))?;
-        let report = octree.verify(tick)?;
+        // Pages go past the cache.
+        let options = OpenOptions { backend, cache_bytes: u64::MAX, ..OpenOptions::default() };
+        let octree = Octree::open(path, &options)?;
+        let report = octree.verify(threads, tick)?;
         Ok(Self::new(&octree, &report, start.elapsed().as_secs_f64()))
     }
 

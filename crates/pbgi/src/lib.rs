@@ -61,11 +61,13 @@ pub use pbgi_image::{Aov, AovNames, AovPreset, write_environment_exr};
 pub use pbgi_light::{SkyParameters, UpAxis, synthetic_sky};
 pub use pbgi_scene::{ProceduralScene, Scene, TwoSided, procedural_scene};
 pub use pbgi_schedule::{ImportanceTerms, Material};
+pub use pbgi_store::Backend;
 pub use points::{PointSource, PointsRequest, shade_points};
 pub use progress::{Phase, Progress, ProgressMode, Verbosity};
 pub use relight::{BOUNCES_MAX, LightRequest};
 pub use shade::{
     CacheReport, EnvironmentSpec, GlossSettings, LightSource, ShadeReport, ShadeSettings,
+    StoreSettings,
 };
 
 pub use target::TargetReport;

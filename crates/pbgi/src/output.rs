@@ -3,7 +3,7 @@
 use crate::PbgiError;
 use crate::band::{Band, Piece};
 use crate::frame_request::FrameRequest;
-use crate::shade::{ShadeReport, ShadeSettings};
+use crate::shade::{ShadeReport, ShadeSettings, list_pages};
 use pbgi_image::{Aov, AovNames, AttributeValue, Image};
 use pbgi_light::Environment;
 use pbgi_math::{DVec3, Mat4, Vec3, Vec4};
@@ -274,6 +274,14 @@ pub(crate) fn settings_attributes(
     ];
     if let Some(environment) = &settings.environment {
         attributes.push(("pbgi:environment".to_owned(), Text(environment.to_string())));
+    }
+    if !report.damaged_pages.is_empty() {
+        let text = format!(
+            "{} left out: {}",
+            report.damaged_pages.len(),
+            list_pages(&report.damaged_pages)
+        );
+        attributes.push(("pbgi:damagedPages".to_owned(), Text(text)));
     }
     if let Some(check) = &report.check {
         attributes.push(("pbgi:checkReceivers".to_owned(), Int(check.receivers as i32)));

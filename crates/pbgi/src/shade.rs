@@ -161,6 +161,19 @@ pub struct ShadeSettings {
     pub threads: usize,
     /// Bytes the whole process may take.
     pub memory_bytes: u64,
+    /// How the octree file is read.
+    pub io: StoreSettings,
+}
+
+/// How an octree file is read.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct StoreSettings {
+    /// By reads or from a map.
+    pub backend: Backend,
+    /// Whether to shade on without pages that are damaged: what lies in them counts as nothing.
+    pub skip_damaged: bool,
+    /// A file to record all requests for pages in.
+    pub trace: Option<PathBuf>,
 }
 
 impl Default for ShadeSettings {
@@ -177,6 +190,7 @@ impl Default for ShadeSettings {
             check_receivers: 0,
             threads: 1,
             memory_bytes: 1 << 30,
+            io: StoreSettings::default(),
         }
     }
 }
@@ -230,7 +244,7 @@ pub(crate) fn up_axis(header: &Header) -> Vec3 {
 /// Opens a file as far as its header and page table and returns the header.
 pub(crate) fn read_header(path: &Path) -> Result<Header, PbgiError> {
     // Nothing is read into the cache, so its size is of no consequence.
-    let options = OpenOptions { cache_bytes: 1 << 40, readers: 1, backend: Backend::Read };
+    let options = OpenOptions { cache_bytes: 1 << 40, ..OpenOptions::default() };
     Ok(*Octree::open(path, &options)?.header())
 }
 
@@ -245,6 +259,8 @@ pub(crate) struct Session<'a> {
     cancel: &'a AtomicBool,
     sample: CheckSample,
     target_error: Option<f64>,
+    /// The file that requests for pages are recorded in.
+    trace: Option<PathBuf>,
     target: Option<TargetReport>,
     /// Whether receivers share gathers, so that the check tells what sharing costs.
     pub shares: bool,
@@ -270,10 +286,15 @@ impl<'a> Session<'a> {
         let options = OpenOptions {
             cache_bytes: memory.cache_bytes,
             readers: settings.threads + extra_readers,
-            // Mapped pages would count as memory of this process on top of the cache.
-            backend: Backend::Read,
+            backend: settings.io.backend,
+            skip_damaged: settings.io.skip_damaged,
         };
-        let octree = Arc::new(Octree::open(path, &options)?);
+        let mut octree = Octree::open(path, &options)?;
+        if let Some(trace) = &settings.io.trace {
+            let recorded = octree.record_trace(trace);
+            recorded.map_err(|source| PbgiError::output(trace, "create", source))?;
+        }
+        let octree = Arc::new(octree);
         let prepare = match settings.gloss {
             Some(_) => PreparedLight::for_reflections,
             None => PreparedLight::new,
@@ -297,6 +318,7 @@ impl<'a> Session<'a> {
             cancel,
             sample: CheckSample::new(settings.check_receivers),
             target_error: settings.target_error,
+            trace: settings.io.trace.clone(),
             target: None,
             shares: false,
             cut: CutStats::default(),
@@ -402,6 +424,11 @@ impl<'a> Session<'a> {
         let cache = CacheReport::new(&self.octree.stats());
         let sample = std::mem::take(&mut self.sample).into_sorted();
         let check = if sample.is_empty() { None } else { self.check(&sample, progress)? };
+        if let Some(trace) = &self.trace {
+            let written = self.octree.finish_trace();
+            written.map_err(|source| PbgiError::output(trace, "write", source))?;
+        }
+        let damaged_pages = self.damaged_pages();
         let mean = |sum: u64| sum as f64 / self.receivers.max(1) as f64;
         Ok(ShadeReport {
             receivers: self.receivers,
@@ -422,8 +449,24 @@ impl<'a> Session<'a> {
             threads: self.threads,
             environment_peaks: self.environment.as_ref().map_or(0, |e| e.peaks().len()),
             total_seconds: 0.0,
+            damaged_pages,
             warnings: self.warnings,
         })
+    }
+
+    /// The numbers of the pages that were left out, with a warning if there are any.
+    fn damaged_pages(&mut self) -> Vec<u32> {
+        let pages: Vec<u32> = self.octree.damaged_pages().iter().map(|page| page.0).collect();
+        if !pages.is_empty() {
+            self.warnings.push(format!(
+                "{} of {} pages of {} are damaged and were left out, with all that lies in them and below: {}; bake it again",
+                pages.len(),
+                self.octree.pages().len(),
+                self.octree.path().display(),
+                list_pages(&pages)
+            ));
+        }
+        pages
     }
 
     fn check(
@@ -464,6 +507,15 @@ impl<'a> Session<'a> {
     }
 }
 
+/// Numbers of pages, the first few of many.
+pub(crate) fn list_pages(pages: &[u32]) -> String {
+    const SHOWN_MAX: usize = 20;
+    let shown: Vec<String> = pages.iter().take(SHOWN_MAX).map(u32::to_string).collect();
+    let rest = pages.len().saturating_sub(SHOWN_MAX);
+    let more = if rest > 0 { format!(" and {rest} more") } else { String::new() };
+    shown.join(", ") + &more
+}
+
 /// What the page cache did.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CacheReport {
@@ -471,18 +523,28 @@ pub struct CacheReport {
     pub requests: u64,
     /// Share of requests that did not read the file.
     pub hit_rate: f64,
-    /// Pages read.
+    /// Requests answered without reading the file.
+    pub hits: u64,
+    /// Pages read: requests that no page in memory answered.
     pub pages_read: u64,
     /// Bytes read.
     pub bytes_read: u64,
+    /// Different pages read.
+    pub distinct_pages: u64,
     /// Bytes of distinct pages read.
     pub distinct_bytes: u64,
     /// Bytes read ÷ bytes of distinct pages.
     pub read_amplification: f64,
     /// Pages dropped to make room.
     pub evictions: u64,
-    /// Seconds workers waited for pages, summed over workers.
+    /// Pages read again after they were dropped.
+    pub rereads: u64,
+    /// Requests that waited for another worker to read the page.
+    pub waits: u64,
+    /// Seconds workers waited for pages, whoever read them, summed over workers.
     pub wait_seconds: f64,
+    /// Seconds of those spent reading, checking and decoding.
+    pub read_seconds: f64,
     /// Most bytes of pages held at once.
     pub held_bytes_max: u64,
 }
@@ -492,12 +554,17 @@ impl CacheReport {
         Self {
             requests: stats.requests,
             hit_rate: stats.hit_rate(),
+            hits: stats.hits,
             pages_read: stats.pages_read,
             bytes_read: stats.bytes_read,
+            distinct_pages: stats.distinct_pages,
             distinct_bytes: stats.distinct_bytes,
             read_amplification: stats.read_amplification(),
             evictions: stats.evictions,
+            rereads: stats.rereads,
+            waits: stats.waits,
             wait_seconds: stats.wait_ns as f64 * 1e-9,
+            read_seconds: stats.read_ns as f64 * 1e-9,
             held_bytes_max: stats.held_bytes_max,
         }
     }
@@ -542,6 +609,8 @@ pub struct ShadeReport {
     pub environment_peaks: usize,
     /// Seconds of the whole run.
     pub total_seconds: f64,
+    /// Pages that are damaged and were left out.
+    pub damaged_pages: Vec<u32>,
     /// What the user should know of, one sentence each.
     pub warnings: Vec<String>,
 }

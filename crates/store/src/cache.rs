@@ -1,9 +1,12 @@
-//! Decoded pages under a budget: least recently used pages go first, pinned ones never.
+//! Decoded pages under a budget: a [`Policy`] says which go, pinned ones never do.
 
+use crate::policy::{Lirs, Policy};
 use crate::stats::CacheStats;
+use crate::sync::{Arc, Condvar, Mutex, MutexGuard};
 use pbgi_format::PageId;
+use std::sync::PoisonError;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 
 /// A decoded, verified page. Held in memory as long as anyone holds a [`PageRef`] to it.
 #[derive(Debug)]
@@ -30,21 +33,28 @@ impl Drop for Page {
 /// A pin on a page: while it lives, the page stays.
 pub type PageRef = Arc<Page>;
 
-const NONE: u32 = u32::MAX;
-
 enum Slot {
     Absent,
     /// Some thread reads it; others wait.
     Loading,
     Present(PageRef),
+    /// Found damaged and left out.
+    Damaged,
+}
+
+impl Slot {
+    /// Whether anyone but the cache holds the page.
+    fn is_pinned(&self) -> bool {
+        match self {
+            Self::Present(page) => Arc::strong_count(page) > 1,
+            _ => false,
+        }
+    }
 }
 
 struct State {
     slots: Vec<Slot>,
-    /// Neighbors in order of use, per page: (newer, older).
-    links: Vec<(u32, u32)>,
-    newest: u32,
-    oldest: u32,
+    policy: ChosenPolicy,
     /// Bytes of pages in slots or being loaded.
     bytes: u64,
     /// Whether each page was ever read.
@@ -52,12 +62,27 @@ struct State {
     stats: CacheStats,
 }
 
+/// The policy that measured best (`docs/measuring.md`).
+type ChosenPolicy = Lirs;
+
 /// What [`Cache::get`] found.
 pub(crate) enum Lookup {
     /// The page is here.
     Found(PageRef),
-    /// The caller must load it and call [`Cache::insert`] or [`Cache::abandon`]; room is made.
+    /// The caller must load it and call [`Cache::insert`], [`Cache::abandon`] or [`Cache::leave_out`]; room is made.
     Load,
+    /// The page is damaged and left out.
+    LeftOut,
+}
+
+/// A page that has been read.
+pub(crate) struct LoadedPage {
+    /// Its decoded bytes.
+    pub bytes: Box<[u8]>,
+    /// Bytes read for it.
+    pub stored_bytes: u32,
+    /// Time reading, checking and decoding took.
+    pub read_ns: u64,
 }
 
 /// The pages of one file that are in memory.
@@ -73,29 +98,27 @@ impl Cache {
         Self {
             state: Mutex::new(State {
                 slots: (0..page_count).map(|_| Slot::Absent).collect(),
-                links: vec![(NONE, NONE); page_count],
-                newest: NONE,
-                oldest: NONE,
+                policy: ChosenPolicy::new(page_count, budget_bytes),
                 bytes: 0,
                 seen: vec![false; page_count],
                 stats: CacheStats::default(),
             }),
             loaded: Condvar::new(),
             budget_bytes,
-            held: Arc::default(),
+            held: Arc::new(AtomicU64::new(0)),
         }
     }
 
     /// Bytes the cache itself takes per page of the file, whether in memory or not.
-    pub const BYTES_PER_PAGE: u64 = (size_of::<Slot>() + size_of::<(u32, u32)>() + 1) as u64;
+    pub const BYTES_PER_PAGE: u64 = size_of::<Slot>() as u64 + ChosenPolicy::BYTES_PER_PAGE + 1;
 
     fn lock(&self) -> MutexGuard<'_, State> {
         // A panic while holding the lock is a defect that has been reported already.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The page, or the duty to load it. Waits while another thread loads it. `decoded_bytes` is
-    /// accounted for before this returns [`Lookup::Load`].
+    /// The page, or the duty to load it. Waits while another thread loads it. `decoded_bytes` is accounted for before this returns
+    /// [`Lookup::Load`].
     pub fn get(&self, id: PageId, decoded_bytes: u32) -> Lookup {
         let index = id.0 as usize;
         let mut state = self.lock();
@@ -104,14 +127,19 @@ impl Cache {
             match &state.slots[index] {
                 Slot::Present(page) => {
                     let page = page.clone();
-                    state.touch(id.0);
+                    state.policy.touch(id.0);
                     state.stats.hits += 1;
                     state.add_wait(waited);
                     return Lookup::Found(page);
                 }
                 Slot::Loading => {
-                    waited.get_or_insert_with(std::time::Instant::now);
+                    waited.get_or_insert_with(Instant::now);
                     state = self.loaded.wait(state).unwrap_or_else(PoisonError::into_inner);
+                }
+                Slot::Damaged => {
+                    state.stats.hits += 1;
+                    state.add_wait(waited);
+                    return Lookup::LeftOut;
                 }
                 Slot::Absent => {
                     state.make_room(u64::from(decoded_bytes), self.budget_bytes);
@@ -125,34 +153,42 @@ impl Cache {
     }
 
     /// Completes a load.
-    pub fn insert(&self, id: PageId, bytes: Box<[u8]>, stored_bytes: u32, read_ns: u64) -> PageRef {
+    pub fn insert(&self, id: PageId, loaded: LoadedPage) -> PageRef {
+        let LoadedPage { bytes, stored_bytes, read_ns } = loaded;
         let length = bytes.len() as u64;
         let held = self.held.fetch_add(length, Ordering::Relaxed) + length;
         let page = Arc::new(Page { bytes, held: self.held.clone() });
         let mut state = self.lock();
-        let stats = &mut state.stats;
-        stats.pages_read += 1;
-        stats.bytes_read += u64::from(stored_bytes);
-        stats.wait_ns += read_ns;
-        stats.held_bytes_max = stats.held_bytes_max.max(held);
-        if std::mem::replace(&mut state.seen[id.0 as usize], true) {
-            state.stats.rereads += 1;
-        } else {
-            state.stats.distinct_pages += 1;
-            state.stats.distinct_bytes += u64::from(stored_bytes);
-        }
+        state.count_read(id, stored_bytes, read_ns);
+        state.stats.held_bytes_max = state.stats.held_bytes_max.max(held);
         state.slots[id.0 as usize] = Slot::Present(page.clone());
-        state.push_newest(id.0);
+        state.policy.insert(id.0, length as u32);
         self.loaded.notify_all();
         page
     }
 
     /// Gives a load up after an error; the next reader tries again.
     pub fn abandon(&self, id: PageId, decoded_bytes: u32) {
+        self.give_up(id, decoded_bytes, Slot::Absent);
+    }
+
+    /// Gives a load up for good: the page is damaged, and no reader will get it.
+    pub fn leave_out(&self, id: PageId, decoded_bytes: u32) {
+        self.give_up(id, decoded_bytes, Slot::Damaged);
+    }
+
+    fn give_up(&self, id: PageId, decoded_bytes: u32, slot: Slot) {
         let mut state = self.lock();
-        state.slots[id.0 as usize] = Slot::Absent;
+        state.slots[id.0 as usize] = slot;
         state.bytes -= u64::from(decoded_bytes);
         self.loaded.notify_all();
+    }
+
+    /// Pages that were left out, in the order of their numbers.
+    pub fn left_out(&self) -> Vec<PageId> {
+        let state = self.lock();
+        let damaged = |(_, slot): &(u32, &Slot)| matches!(slot, Slot::Damaged);
+        (0..).zip(&state.slots).filter(damaged).map(|(index, _)| PageId(index)).collect()
     }
 
     /// Counts requests that a reader answered from its own pins.
@@ -174,171 +210,67 @@ impl Cache {
     #[cfg(test)]
     pub fn validate(&self) {
         let state = self.lock();
-        let mut bytes = 0;
-        let mut present = 0;
+        let (mut bytes, mut present, mut loading) = (0, 0, 0);
         for slot in &state.slots {
-            if let Slot::Present(page) = slot {
-                bytes += page.bytes.len() as u64;
-                present += 1;
+            match slot {
+                Slot::Present(page) => {
+                    bytes += page.bytes.len() as u64;
+                    present += 1;
+                }
+                Slot::Loading => loading += 1,
+                Slot::Absent | Slot::Damaged => {}
             }
         }
-        let loading = state.slots.iter().filter(|s| matches!(s, Slot::Loading)).count();
-        assert!(loading > 0 || bytes == state.bytes, "{bytes} {}", state.bytes);
-        let (mut at, mut count, mut newer) = (state.newest, 0, NONE);
-        while at != NONE {
-            assert!(matches!(state.slots[at as usize], Slot::Present(_)));
-            assert_eq!(state.links[at as usize].0, newer);
-            newer = at;
-            at = state.links[at as usize].1;
-            count += 1;
-        }
-        assert_eq!(state.oldest, newer);
-        assert_eq!(count, present);
+        assert_eq!(state.policy.len(), present, "the policy knows what is there");
+        assert!(bytes <= state.bytes, "{bytes} of {}", state.bytes);
+        assert!(loading > 0 || bytes == state.bytes, "{bytes} of {}", state.bytes);
+        let held = self.held.load(Ordering::Relaxed);
+        assert!(bytes <= held || loading > 0, "{bytes} in slots, {held} held");
+        let stats = &state.stats;
+        assert_eq!(stats.pages_read, stats.distinct_pages + stats.rereads);
+        assert_eq!(stats.pages_read, present as u64 + stats.evictions);
+        let seen = state.seen.iter().filter(|seen| **seen).count() as u64;
+        assert_eq!(stats.distinct_pages, seen);
     }
 }
 
 impl State {
-    fn add_wait(&mut self, since: Option<std::time::Instant>) {
-        self.stats.wait_ns += since.map_or(0, |s| s.elapsed().as_nanos() as u64);
-    }
-
-    fn push_newest(&mut self, id: u32) {
-        self.links[id as usize] = (NONE, self.newest);
-        match self.newest {
-            NONE => self.oldest = id,
-            newest => self.links[newest as usize].0 = id,
-        }
-        self.newest = id;
-    }
-
-    fn unlink(&mut self, id: u32) {
-        let (newer, older) = self.links[id as usize];
-        match newer {
-            NONE => self.newest = older,
-            newer => self.links[newer as usize].1 = older,
-        }
-        match older {
-            NONE => self.oldest = newer,
-            older => self.links[older as usize].0 = newer,
+    fn add_wait(&mut self, since: Option<Instant>) {
+        if let Some(since) = since {
+            self.stats.waits += 1;
+            self.stats.wait_ns += since.elapsed().as_nanos() as u64;
         }
     }
 
-    fn touch(&mut self, id: u32) {
-        if self.newest != id {
-            self.unlink(id);
-            self.push_newest(id);
+    fn count_read(&mut self, id: PageId, stored_bytes: u32, read_ns: u64) {
+        let stats = &mut self.stats;
+        stats.pages_read += 1;
+        stats.bytes_read += u64::from(stored_bytes);
+        stats.read_ns += read_ns;
+        stats.wait_ns += read_ns;
+        if std::mem::replace(&mut self.seen[id.0 as usize], true) {
+            stats.rereads += 1;
+        } else {
+            stats.distinct_pages += 1;
+            stats.distinct_bytes += u64::from(stored_bytes);
         }
     }
 
-    /// Drops the least recently used unpinned pages until `bytes` more fit. Where pins leave too
-    /// little, the page is admitted all the same: `Octree::open` made sure that the budget holds
-    /// what all readers may pin.
+    /// Drops unpinned pages until `bytes` more fit. Where pins leave too little, the page is admitted all the same: `Octree::open`
+    /// made sure that the budget holds what all readers may pin.
     fn make_room(&mut self, bytes: u64, budget_bytes: u64) {
-        let mut at = self.oldest;
-        while self.bytes + bytes > budget_bytes && at != NONE {
-            let newer = self.links[at as usize].0;
-            let pinned = match &self.slots[at as usize] {
-                Slot::Present(page) => Arc::strong_count(page) > 1,
-                _ => true,
-            };
-            if !pinned {
-                self.unlink(at);
-                if let Slot::Present(page) =
-                    std::mem::replace(&mut self.slots[at as usize], Slot::Absent)
-                {
-                    self.bytes -= page.bytes.len() as u64;
-                }
-                self.stats.evictions += 1;
+        while self.bytes + bytes > budget_bytes {
+            let slots = &self.slots;
+            let is_pinned = &mut |page: u32| slots[page as usize].is_pinned();
+            let Some(page) = self.policy.evict(is_pinned) else { break };
+            let slot = std::mem::replace(&mut self.slots[page as usize], Slot::Absent);
+            if let Slot::Present(page) = slot {
+                self.bytes -= page.bytes.len() as u64;
             }
-            at = newer;
+            self.stats.evictions += 1;
         }
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn load(cache: &Cache, id: u32, bytes: usize) -> PageRef {
-        match cache.get(PageId(id), bytes as u32) {
-            Lookup::Found(page) => page,
-            Lookup::Load => cache.insert(PageId(id), vec![id as u8; bytes].into(), bytes as u32, 0),
-        }
-    }
-
-    #[test]
-    fn least_recently_used_pages_go_first_and_pinned_ones_stay() {
-        let cache = Cache::new(10, 300);
-        let pinned = load(&cache, 0, 100);
-        drop(load(&cache, 1, 100));
-        drop(load(&cache, 2, 100));
-        drop(load(&cache, 1, 100));
-        drop(load(&cache, 3, 100));
-        cache.validate();
-        let stats = cache.stats();
-        assert_eq!((stats.evictions, stats.hits, stats.pages_read), (1, 1, 4));
-        drop(load(&cache, 1, 100));
-        assert_eq!(cache.stats().hits, 2, "page 1 was used more recently than page 2");
-        assert_eq!(pinned.bytes(), &[0; 100]);
-        drop(load(&cache, 0, 100));
-        assert_eq!(cache.stats().hits, 3, "page 0 was pinned");
-        assert_eq!(cache.stats().held_bytes_max, 300);
-    }
-
-    #[test]
-    fn counters_agree_with_a_plain_model() {
-        let cache = Cache::new(50, 1000);
-        let mut order: Vec<u32> = Vec::new();
-        let mut hits = 0;
-        let mut random = 1u32;
-        for _ in 0..5000 {
-            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            let id = (random >> 16) % 50 * ((random >> 8) % 3) / 2 % 50;
-            drop(load(&cache, id, 100));
-            if let Some(at) = order.iter().position(|&o| o == id) {
-                hits += 1;
-                order.remove(at);
-            } else if order.len() == 10 {
-                order.remove(0);
-            }
-            order.push(id);
-        }
-        cache.validate();
-        assert_eq!(cache.stats().hits, hits);
-        assert_eq!(cache.stats().pages_read, 5000 - hits);
-    }
-
-    #[test]
-    fn one_thread_loads_while_others_wait() {
-        let cache = Cache::new(4, 1000);
-        let loads = AtomicU64::new(0);
-        std::thread::scope(|scope| {
-            for _ in 0..8 {
-                scope.spawn(|| {
-                    for round in 0..200u32 {
-                        let id = PageId(round % 4);
-                        match cache.get(id, 10) {
-                            Lookup::Found(page) => assert_eq!(page.bytes()[0], id.0 as u8),
-                            Lookup::Load => {
-                                loads.fetch_add(1, Ordering::Relaxed);
-                                std::thread::yield_now();
-                                cache.insert(id, vec![id.0 as u8; 10].into(), 10, 0);
-                            }
-                        }
-                    }
-                });
-            }
-        });
-        cache.validate();
-        assert_eq!(loads.into_inner(), 4);
-    }
-
-    #[test]
-    fn abandoned_loads_can_be_tried_again() {
-        let cache = Cache::new(1, 100);
-        assert!(matches!(cache.get(PageId(0), 50), Lookup::Load));
-        cache.abandon(PageId(0), 50);
-        cache.validate();
-        assert!(matches!(cache.get(PageId(0), 50), Lookup::Load));
-    }
-}
+mod tests;

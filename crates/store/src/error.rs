@@ -25,9 +25,36 @@ pub enum StoreError {
         /// What is wrong.
         source: FormatError,
     },
+    /// A page cannot be read.
+    #[error("page {page} of {} cannot be read: {source}; check the disk, bake it again, or shade without it (--skip-damaged)", path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// The page.
+        page: PageId,
+        /// The cause.
+        source: std::io::Error,
+    },
+    /// The file is no longer the one that was opened.
+    #[error(
+        "{} was written to while it was open (page {page} is not what it was: the file has {found} bytes, had {expected}); \
+         leave it alone until the run ends, and run again",
+        path.display()
+    )]
+    Changed {
+        /// The file.
+        path: PathBuf,
+        /// The page that showed it.
+        page: PageId,
+        /// Bytes of the file now.
+        found: u64,
+        /// Bytes of the file when it was opened.
+        expected: u64,
+    },
     /// A page's bytes changed since they were written.
     #[error(
-        "page {page} of {} is damaged (checksum {found:#018x}, expected {expected:#018x}); bake it again",
+        "page {page} of {} is damaged (checksum {found:#018x}, expected {expected:#018x}); \
+         bake it again, or shade without it (--skip-damaged)",
         path.display()
     )]
     Damaged {
@@ -66,4 +93,11 @@ pub enum StoreError {
         /// Concurrent readers.
         readers: usize,
     },
+}
+
+impl StoreError {
+    /// Whether this is damage to a single page, which can be left out.
+    pub(crate) fn is_damaged_page(&self) -> bool {
+        matches!(self, Self::Unreadable { .. } | Self::Damaged { .. } | Self::InvalidPage { .. })
+    }
 }

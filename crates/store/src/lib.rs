@@ -6,15 +6,19 @@
 mod cache;
 mod error;
 mod octree;
+pub mod policy;
 mod source;
 mod stats;
+mod sync;
+mod trace;
 mod verify;
 mod walk;
 
 pub use cache::{Page, PageRef};
 pub use error::StoreError;
 pub use octree::{Octree, OpenOptions, PIN_BYTES_PER_READER_MIN, Reader};
-pub use source::Backend;
+pub use source::{Backend, FileState, PageSource};
 pub use stats::{CacheStats, ReaderStats};
+pub use trace::{PageTrace, TraceChunk};
 pub use verify::{LevelCounts, VerifyReport};
 pub use walk::{for_each_leaf, try_for_each_leaf};

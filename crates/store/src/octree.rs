@@ -1,9 +1,10 @@
 //! An open octree file and its readers.
 
-use crate::cache::{Cache, Lookup, PageRef};
+use crate::cache::{Cache, LoadedPage, Lookup, PageRef};
 use crate::error::StoreError;
-use crate::source::{Backend, Source, open_file};
+use crate::source::{Backend, FileState, PageSource, open_source};
 use crate::stats::{CacheStats, ReaderStats};
+use crate::trace::{ReaderTrace, TraceWriter};
 use pbgi_format::{
     FormatError, HEADER_BYTES, Header, NodePage, PAGE_ENTRY_BYTES, PageEntry, PageId, PageKind,
     SurfelLayout, SurfelPage, page_checksum,
@@ -19,11 +20,18 @@ pub struct OpenOptions {
     pub readers: usize,
     /// How pages are brought in.
     pub backend: Backend,
+    /// Whether readers may go on without pages that are damaged ([`Reader::pin_sound_page`]).
+    pub skip_damaged: bool,
 }
 
 impl Default for OpenOptions {
     fn default() -> Self {
-        Self { cache_bytes: 256 << 20, readers: 1, backend: Backend::Map }
+        Self {
+            cache_bytes: 256 << 20,
+            readers: 1,
+            backend: Backend::default(),
+            skip_damaged: false,
+        }
     }
 }
 
@@ -41,9 +49,13 @@ pub struct Octree {
     path: PathBuf,
     header: Header,
     table: Vec<PageEntry>,
-    source: Source,
+    source: Box<dyn PageSource>,
+    /// What the file was when it was opened.
+    opened: FileState,
+    skip_damaged: bool,
     cache: Cache,
     local_pins: usize,
+    trace: Option<TraceWriter>,
 }
 
 impl Octree {
@@ -54,24 +66,39 @@ impl Octree {
     ///
     /// If the file cannot be read, is no octree file, is damaged, or if the budget is too small.
     pub fn open(path: &Path, options: &OpenOptions) -> Result<Self, StoreError> {
-        let io = |action| {
-            let path = path.to_owned();
-            move |source| StoreError::Io { path, action, source }
-        };
+        let source = open_source(path, options.backend);
+        let source = source.map_err(|source| StoreError::Io {
+            path: path.to_owned(),
+            action: "open",
+            source,
+        })?;
+        Self::open_from(source, path, options)
+    }
+
+    /// [`Octree::open`] for bytes that come from elsewhere; `options.backend` does not count. `path` names them in errors.
+    ///
+    /// # Errors
+    ///
+    /// As [`Octree::open`].
+    pub fn open_from(
+        source: Box<dyn PageSource>,
+        path: &Path,
+        options: &OpenOptions,
+    ) -> Result<Self, StoreError> {
+        let io = |source| StoreError::Io { path: path.to_owned(), action: "read", source };
         let malformed = |source| StoreError::Malformed { path: path.to_owned(), source };
-        let (file, file_bytes) = open_file(path).map_err(io("open"))?;
-        if file_bytes < HEADER_BYTES as u64 {
-            let found = format!("{file_bytes} bytes");
+        let opened = source.state().map_err(io)?;
+        if opened.bytes < HEADER_BYTES as u64 {
+            let found = format!("{} bytes", opened.bytes);
             let expected = format!("at least {HEADER_BYTES}");
             return Err(malformed(FormatError { place: "file", found, expected }));
         }
-        let source = Source::open(file, options.backend).map_err(io("map"))?;
         let mut bytes = [0; HEADER_BYTES];
-        source.read_at(0, &mut bytes).map_err(io("read"))?;
-        let header = Header::from_bytes(&bytes, file_bytes).map_err(malformed)?;
+        source.read_at(0, &mut bytes).map_err(io)?;
+        let header = Header::from_bytes(&bytes, opened.bytes).map_err(malformed)?;
         // The header is consistent with the file's size, so the table is no larger than the file.
         let mut bytes = vec![0; header.page_count as usize * PAGE_ENTRY_BYTES];
-        source.read_at(header.page_table_offset, &mut bytes).map_err(io("read"))?;
+        source.read_at(header.page_table_offset, &mut bytes).map_err(io)?;
         let table = read_table(&bytes, &header).map_err(malformed)?;
         let largest = u64::from(header.page_bytes_max);
         let needed = options.readers as u64 * PIN_BYTES_PER_READER_MIN * largest;
@@ -85,15 +112,19 @@ impl Octree {
             });
         }
         let cache_bytes = options.cache_bytes - fixed;
-        // Readers' own pins take at most half of what is left beyond the ways down.
-        let spare = (cache_bytes - needed) / 2 / options.readers.max(1) as u64 / largest.max(1);
+        // Readers' own pins save asking the cache, yet what they hold is not what it would hold: they take a small share of what
+        // is left beyond the ways down.
+        let spare = (cache_bytes - needed) / 16 / options.readers.max(1) as u64 / largest.max(1);
         Ok(Self {
             path: path.to_owned(),
             header,
             cache: Cache::new(table.len(), cache_bytes),
             table,
             source,
+            opened,
+            skip_damaged: options.skip_damaged,
             local_pins: (spare as usize).clamp(1, LOCAL_PINS),
+            trace: None,
         })
     }
 
@@ -129,17 +160,47 @@ impl Octree {
         self.cache.stats()
     }
 
+    /// Pages that readers asked for, that are damaged, and that were left out.
+    #[must_use]
+    pub fn damaged_pages(&self) -> Vec<PageId> {
+        self.cache.left_out()
+    }
+
+    /// From now on, records in a new file `path` which pages readers ask for: all requests, before a reader looks among the pages it
+    /// has pinned itself.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be created.
+    pub fn record_trace(&mut self, path: &Path) -> std::io::Result<()> {
+        self.trace = Some(TraceWriter::create(path, &self.table)?);
+        Ok(())
+    }
+
+    /// Completes the trace, if one is recorded. All readers must be gone.
+    ///
+    /// # Errors
+    ///
+    /// If any of it could not be written.
+    pub fn finish_trace(&self) -> std::io::Result<()> {
+        self.trace.as_ref().map_or(Ok(()), TraceWriter::finish)
+    }
+
     /// A reader, for one thread.
     #[must_use]
     pub fn reader(&self) -> Reader<'_> {
         let pins = self.local_pins.next_power_of_two();
         let pins = if pins > self.local_pins { pins / 2 } else { pins };
-        Reader { octree: self, pins: vec![None; pins], stats: ReaderStats::default() }
+        Reader {
+            octree: self,
+            pins: vec![None; pins],
+            stats: ReaderStats::default(),
+            trace: self.trace.as_ref().map(TraceWriter::reader),
+        }
     }
 
-    /// The page, from the cache or from the file.
-    fn load_page(&self, id: PageId) -> Result<PageRef, StoreError> {
-        let entry = self.table.get(id.0 as usize).ok_or_else(|| StoreError::InvalidPage {
+    pub(crate) fn entry(&self, id: PageId) -> Result<&PageEntry, StoreError> {
+        self.table.get(id.0 as usize).ok_or_else(|| StoreError::InvalidPage {
             path: self.path.clone(),
             page: id,
             source: FormatError {
@@ -147,21 +208,33 @@ impl Octree {
                 found: format!("page {id}"),
                 expected: format!("a page below {}", self.table.len()),
             },
-        })?;
+        })
+    }
+
+    /// The page, from the cache or from the file; none where it is damaged and `skips` such pages.
+    fn load_page(&self, id: PageId, skips: bool) -> Result<Option<PageRef>, StoreError> {
+        let entry = self.entry(id)?;
         match self.cache.get(id, entry.decoded_bytes) {
-            Lookup::Found(page) => Ok(page),
-            Lookup::Load => {
-                let start = std::time::Instant::now();
-                match self.read_page(id, entry) {
-                    Ok(bytes) => {
-                        let ns = start.elapsed().as_nanos() as u64;
-                        Ok(self.cache.insert(id, bytes, entry.stored_bytes, ns))
-                    }
-                    Err(error) => {
-                        self.cache.abandon(id, entry.decoded_bytes);
-                        Err(error)
-                    }
-                }
+            Lookup::Found(page) => return Ok(Some(page)),
+            Lookup::LeftOut if skips => return Ok(None),
+            // Read again for the error alone.
+            Lookup::LeftOut => return self.read_page(id, entry).map(|_| None),
+            Lookup::Load => {}
+        }
+        let start = std::time::Instant::now();
+        match self.read_page(id, entry) {
+            Ok(bytes) => {
+                let read_ns = start.elapsed().as_nanos() as u64;
+                let loaded = LoadedPage { bytes, stored_bytes: entry.stored_bytes, read_ns };
+                Ok(Some(self.cache.insert(id, loaded)))
+            }
+            Err(error) if skips && error.is_damaged_page() => {
+                self.cache.leave_out(id, entry.decoded_bytes);
+                Ok(None)
+            }
+            Err(error) => {
+                self.cache.abandon(id, entry.decoded_bytes);
+                Err(error)
             }
         }
     }
@@ -169,37 +242,74 @@ impl Octree {
     /// Reads, verifies and decodes a page, past the cache.
     pub(crate) fn read_page(&self, id: PageId, entry: &PageEntry) -> Result<Box<[u8]>, StoreError> {
         let mut stored = vec![0; entry.stored_bytes as usize].into_boxed_slice();
-        self.source.read_at(entry.offset, &mut stored).map_err(|source| StoreError::Io {
-            path: self.path.clone(),
-            action: "read",
-            source,
+        self.source.read_at(entry.offset, &mut stored).map_err(|source| {
+            let path = self.path.clone();
+            self.explain(StoreError::Unreadable { path, page: id, source }, id)
         })?;
-        let found = page_checksum(&stored);
+        Ok(self.decode_page(id, entry, &stored)?.unwrap_or(stored))
+    }
+
+    /// Reads stored bytes of neighboring pages.
+    pub(crate) fn read_stored(&self, offset: u64, out: &mut [u8]) -> std::io::Result<()> {
+        self.source.read_at(offset, out)
+    }
+
+    /// Verifies the stored bytes of a page, and decodes them where they are not what they mean.
+    pub(crate) fn decode_page(
+        &self,
+        id: PageId,
+        entry: &PageEntry,
+        stored: &[u8],
+    ) -> Result<Option<Box<[u8]>>, StoreError> {
+        let found = page_checksum(stored);
         if found != entry.checksum {
             let (path, expected) = (self.path.clone(), entry.checksum);
-            return Err(StoreError::Damaged { path, page: id, found, expected });
+            let error = StoreError::Damaged { path, page: id, found, expected };
+            return Err(self.explain(error, id));
         }
         let invalid =
             |source| StoreError::InvalidPage { path: self.path.clone(), page: id, source };
-        let decoded = if entry.is_compressed() {
-            lz4_flex::block::decompress(&stored, entry.decoded_bytes as usize)
-                .map(Vec::into_boxed_slice)
-                .map_err(|error| {
-                    invalid(FormatError {
-                        place: "LZ4 data",
-                        found: error.to_string(),
-                        expected: format!("{} bytes", entry.decoded_bytes),
-                    })
-                })?
-        } else {
-            stored
-        };
+        let mut decoded = None;
+        if entry.is_compressed() {
+            let length = entry.decoded_bytes as usize;
+            let bytes = lz4_flex::block::decompress(stored, length).map_err(|error| {
+                invalid(FormatError {
+                    place: "LZ4 data",
+                    found: error.to_string(),
+                    expected: format!("{length} bytes"),
+                })
+            })?;
+            decoded = Some(bytes.into_boxed_slice());
+        }
+        let bytes = decoded.as_deref().unwrap_or(stored);
         let checked = match entry.kind {
-            PageKind::Nodes => NodePage::new(&decoded, id).map(drop),
-            PageKind::Surfels => SurfelPage::new(&decoded).map(drop),
+            PageKind::Nodes => NodePage::new(bytes, id).map(drop),
+            PageKind::Surfels => SurfelPage::new(bytes).map(drop),
         };
         checked.map_err(invalid)?;
         Ok(decoded)
+    }
+
+    /// `error`, unless the file was written to since it was opened, which explains any damage.
+    #[cold]
+    fn explain(&self, error: StoreError, page: PageId) -> StoreError {
+        match self.source.state() {
+            Ok(now) if now != self.opened => self.changed(page),
+            _ => error,
+        }
+    }
+
+    /// The error for a page of a file that was written to.
+    #[cold]
+    fn changed(&self, page: PageId) -> StoreError {
+        let found = self.source.state().map_or(0, |state| state.bytes);
+        StoreError::Changed { path: self.path.clone(), page, found, expected: self.opened.bytes }
+    }
+
+    /// The error for a page that contradicts itself.
+    #[cold]
+    pub(crate) fn invalid_page(&self, page: PageId, source: FormatError) -> StoreError {
+        StoreError::InvalidPage { path: self.path.clone(), page, source }
     }
 }
 
@@ -244,6 +354,7 @@ pub struct Reader<'a> {
     /// Recently used pages by their number modulo the (power of two) length.
     pins: Vec<Option<(PageId, PageRef)>>,
     stats: ReaderStats,
+    trace: Option<ReaderTrace<'a>>,
 }
 
 impl<'a> Reader<'a> {
@@ -261,18 +372,40 @@ impl<'a> Reader<'a> {
     /// If the page cannot be read or is damaged.
     #[inline]
     pub fn pin_page(&mut self, id: PageId) -> Result<PageRef, StoreError> {
+        match self.find_page(id, false)? {
+            Some(page) => Ok(page),
+            // The page was damaged when it was left out, and is sound now.
+            None => Err(self.octree.changed(id)),
+        }
+    }
+
+    /// Pins a page, or gives none where it is damaged and the file was opened with [`OpenOptions::skip_damaged`].
+    ///
+    /// # Errors
+    ///
+    /// If the page cannot be read or is damaged, and is not to be skipped; if the file has changed since it was opened.
+    #[inline]
+    pub fn pin_sound_page(&mut self, id: PageId) -> Result<Option<PageRef>, StoreError> {
+        self.find_page(id, self.octree.skip_damaged)
+    }
+
+    #[inline]
+    fn find_page(&mut self, id: PageId, skips: bool) -> Result<Option<PageRef>, StoreError> {
         self.stats.requests += 1;
+        if let Some(trace) = &mut self.trace {
+            trace.record(id);
+        }
         let slot = id.0 as usize & (self.pins.len() - 1);
         if let Some((pinned, page)) = &self.pins[slot]
             && *pinned == id
         {
             self.stats.local_hits += 1;
-            return Ok(page.clone());
+            return Ok(Some(page.clone()));
         }
         // Unpin first, so that the budget can be met.
         self.pins[slot] = None;
-        let page = self.octree.load_page(id)?;
-        self.pins[slot] = Some((id, page.clone()));
+        let page = self.octree.load_page(id, skips)?;
+        self.pins[slot] = page.clone().map(|page| (id, page));
         Ok(page)
     }
 
@@ -286,7 +419,7 @@ impl<'a> Reader<'a> {
     #[must_use]
     #[cold]
     pub fn invalid_page(&self, page: PageId, source: FormatError) -> StoreError {
-        StoreError::InvalidPage { path: self.octree.path.clone(), page, source }
+        self.octree.invalid_page(page, source)
     }
 }
 

@@ -1,85 +1,119 @@
-//! Where a page's stored bytes come from: the mapped file, or reads.
+//! Where the bytes of an octree file come from: a map of it, or reads.
 
 use std::fs::File;
+use std::io;
+use std::os::unix::fs::FileExt;
 use std::path::Path;
+use std::time::SystemTime;
 
 /// How pages are brought in. Both give the same bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Backend {
-    /// From a memory map of the file. Fastest on a local disk.
+    /// By positioned reads, one for each page. An error of the disk, or a file that gets shorter, ends in an error.
     #[default]
-    Map,
-    /// By positioned reads: survives a file that is truncated meanwhile, as on network disks.
     Read,
+    /// From a memory map of the file, each page brought in by one request and copied out. A file that another process shortens at the
+    /// moment of the copy kills this one: not for network disks.
+    Map,
 }
 
-pub(crate) enum Source {
-    Map(map::MappedFile),
-    Read(File),
+/// What tells that a file is not the one that was opened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FileState {
+    /// Its size.
+    pub bytes: u64,
+    /// When it was last written, where the system tells.
+    pub modified: Option<SystemTime>,
 }
 
-impl Source {
-    pub fn open(file: File, backend: Backend) -> std::io::Result<Self> {
-        match backend {
-            Backend::Map => map::MappedFile::new(&file).map(Self::Map),
-            Backend::Read => Ok(Self::Read(file)),
-        }
-    }
+/// The bytes of an octree file, wherever they are. Called by several threads at once.
+pub trait PageSource: Send + Sync {
+    /// Fills `out` with the bytes from `offset` on.
+    ///
+    /// # Errors
+    ///
+    /// If not all of them can be read.
+    fn read_at(&self, offset: u64, out: &mut [u8]) -> io::Result<()>;
 
-    /// Fills `out` with the bytes at `offset`.
-    pub fn read_at(&self, offset: u64, out: &mut [u8]) -> std::io::Result<()> {
-        match self {
-            Self::Map(map) => map.read_at(offset, out),
-            Self::Read(file) => std::os::unix::fs::FileExt::read_exact_at(file, out, offset),
-        }
-    }
+    /// Size and age of the file now.
+    ///
+    /// # Errors
+    ///
+    /// If the system does not tell.
+    fn state(&self) -> io::Result<FileState>;
 }
 
-/// Opens `path` for reading and returns its size, too.
-pub(crate) fn open_file(path: &Path) -> std::io::Result<(File, u64)> {
+/// Opens `path` for reading.
+pub(crate) fn open_source(path: &Path, backend: Backend) -> io::Result<Box<dyn PageSource>> {
     let file = File::open(path)?;
-    let metadata = file.metadata()?;
-    if metadata.is_dir() {
-        return Err(std::io::Error::other("it is a folder, not an octree file"));
+    if file.metadata()?.is_dir() {
+        return Err(io::Error::other("it is a folder, not an octree file"));
     }
-    Ok((file, metadata.len()))
+    Ok(match backend {
+        Backend::Read => Box::new(file),
+        Backend::Map => Box::new(map::MappedFile::new(file)?),
+    })
+}
+
+impl PageSource for File {
+    fn read_at(&self, offset: u64, out: &mut [u8]) -> io::Result<()> {
+        self.read_exact_at(out, offset)
+    }
+
+    fn state(&self) -> io::Result<FileState> {
+        let metadata = self.metadata()?;
+        Ok(FileState { bytes: metadata.len(), modified: metadata.modified().ok() })
+    }
 }
 
 #[expect(unsafe_code, reason = "mapping a file is unsafe: another process may change it")]
 mod map {
+    use super::{FileState, PageSource};
     use memmap2::{Advice, Mmap, UncheckedAdvice};
     use std::fs::File;
+    use std::io;
 
     /// A read-only map whose bytes are only ever copied out.
-    pub(crate) struct MappedFile {
+    pub(super) struct MappedFile {
         map: Mmap,
+        file: File,
     }
 
     impl MappedFile {
-        pub fn new(file: &File) -> std::io::Result<Self> {
+        pub fn new(file: File) -> io::Result<Self> {
             // SAFETY: the map is private to this module and read only through `read_at`, which
             // copies. A file that another process rewrites can therefore yield stale or mixed
             // bytes, which the checksum of each page catches, but no reference to changing memory
-            // ever leaves this module. Truncation while mapped raises SIGBUS, the documented
-            // limit of this back end; `Backend::Read` is for disks where that can happen.
-            let map = unsafe { Mmap::map(file)? };
+            // ever leaves this module. Truncation between populating and copying raises SIGBUS, the
+            // documented limit of this back end; `Backend::Read` is for disks where that can happen.
+            let map = unsafe { Mmap::map(&file)? };
             // Pages are brought in whole, by `read_at`; read-ahead around them is waste.
             map.advise(Advice::Random)?;
-            Ok(Self { map })
+            Ok(Self { map, file })
         }
+    }
 
-        pub fn read_at(&self, offset: u64, out: &mut [u8]) -> std::io::Result<()> {
+    impl PageSource for MappedFile {
+        fn read_at(&self, offset: u64, out: &mut [u8]) -> io::Result<()> {
             let start = usize::try_from(offset).unwrap_or(usize::MAX);
             let end = start.checked_add(out.len()).filter(|&end| end <= self.map.len());
-            let end = end.ok_or(std::io::ErrorKind::UnexpectedEof)?;
+            let end = end.ok_or(io::ErrorKind::UnexpectedEof)?;
             // One request for the whole page: faults taken singly, which is what populating a map without read-ahead does, are a
-            // hundred times slower. Where the kernel cannot populate, the copy below faults the bytes in.
+            // hundred times slower.
             let _ = self.map.advise_range(Advice::WillNeed, start, out.len());
-            let _ = self.map.advise_range(Advice::PopulateRead, start, out.len());
+            // Nothing is touched that is not there: what cannot be populated, on old kernels, behind the end of a shortened file
+            // or on a bad disk, is read, which faults nothing in and tells what is wrong.
+            if self.map.advise_range(Advice::PopulateRead, start, out.len()).is_err() {
+                return self.file.read_at(offset, out);
+            }
             out.copy_from_slice(&self.map[start..end]);
             // SAFETY: the map is read-only and shared with the file, so dropped pages come back
             // with the same contents; nothing refers to them here.
             unsafe { self.map.unchecked_advise_range(UncheckedAdvice::DontNeed, start, out.len()) }
+        }
+
+        fn state(&self) -> io::Result<FileState> {
+            self.file.state()
         }
     }
 }

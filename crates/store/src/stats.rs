@@ -19,8 +19,12 @@ pub struct CacheStats {
     pub evictions: u64,
     /// Pages read again after they were dropped.
     pub rereads: u64,
-    /// Nanoseconds readers spent reading pages or waiting for others to read them.
+    /// Requests that waited for another reader to read the page.
+    pub waits: u64,
+    /// Nanoseconds readers spent reading, checking and decoding pages, or waiting for others to do so.
     pub wait_ns: u64,
+    /// Nanoseconds of those spent reading, checking and decoding.
+    pub read_ns: u64,
     /// Most bytes of decoded pages held at once.
     pub held_bytes_max: u64,
 }

@@ -14,7 +14,8 @@ enum Visit {
 /// Calls `visit` for every leaf, in the order of the Morton curve: with the number of surfels
 /// before it and its surfels, decoded, relative to the file's origin.
 ///
-/// Holds one path of the tree; reads each page once where the cache holds a path's pages.
+/// Holds one path of the tree; reads each page once where the cache holds a path's pages. Surfels in damaged pages that are skipped
+/// are left out, and not counted among those before a leaf; the root's page is never skipped.
 ///
 /// # Errors
 ///
@@ -58,9 +59,10 @@ pub fn try_for_each_leaf<E: From<StoreError>>(
                     let place = "leaf: surfel page";
                     return Err(invalid(reader, node_page, place, "none", "a page").into());
                 };
-                read_leaf(reader, page, place, &frame, &mut surfels)?;
-                visit(done, &surfels)?;
-                done += surfels.len() as u64;
+                if read_leaf(reader, page, place, &frame, &mut surfels)? {
+                    visit(done, &surfels)?;
+                    done += surfels.len() as u64;
+                }
             }
         }
     }
@@ -76,7 +78,13 @@ fn push_children(
     stack: &mut Vec<Visit>,
 ) -> Result<(), StoreError> {
     let channels = reader.octree().header().channels;
-    let pinned = reader.pin_page(page)?;
+    let pinned = match depth {
+        0 => reader.pin_page(page)?,
+        _ => match reader.pin_sound_page(page)? {
+            Some(pinned) => pinned,
+            None => return Ok(()),
+        },
+    };
     let view = NodePage::new(pinned.bytes(), page).map_err(|e| reader.invalid_page(page, e))?;
     let group = GroupView::new(pinned.bytes(), view.groups_end(), offset, channels)
         .map_err(|e| reader.invalid_page(page, e))?;
@@ -105,22 +113,22 @@ fn push_children(
     Ok(())
 }
 
-/// Decodes the leaf of so many surfels at a byte of a page.
+/// Decodes the leaf of so many surfels at a byte of a page; false where that page is skipped.
 fn read_leaf(
     reader: &mut Reader<'_>,
     page: PageId,
     place: (u32, u32),
     frame: &Aabb,
     out: &mut Vec<LeafSurfel>,
-) -> Result<(), StoreError> {
+) -> Result<bool, StoreError> {
     let layout = reader.octree().layout();
-    let pinned = reader.pin_page(page)?;
+    let Some(pinned) = reader.pin_sound_page(page)? else { return Ok(false) };
     let leaf = SurfelPage::new(pinned.bytes())
         .and_then(|view| view.leaf(place, frame, &layout))
         .map_err(|e| reader.invalid_page(page, e))?;
     out.clear();
     out.extend((0..leaf.count()).map(|index| leaf.surfel(index)));
-    Ok(())
+    Ok(true)
 }
 
 fn invalid(

@@ -2,7 +2,7 @@
 #![forbid(unsafe_code)]
 
 use clap::Parser;
-use pbgi::cli::{self, CommonArgs};
+use pbgi::cli::{self, CommonArgs, IoMode};
 use pbgi::{OctreeCheck, OctreeInfo, PbgiError, Progress};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -21,6 +21,9 @@ struct Args {
     /// Count levels, leaf sizes, lobes and page sizes (verifies, too)
     #[arg(long)]
     histogram: bool,
+    /// How the file is read to be verified
+    #[arg(long, value_enum, value_name = "HOW", default_value = "read", hide_short_help = true)]
+    io: IoMode,
     /// Print everything as JSON
     #[arg(long)]
     json: bool,
@@ -68,7 +71,7 @@ fn check_file(
     cancel: &AtomicBool,
 ) -> Result<OctreeCheck, PbgiError> {
     let phase = progress.start_phase("verify", "bytes", Some(file_bytes));
-    OctreeCheck::read(&args.file, args.common.memory_limit, |bytes| {
+    OctreeCheck::read(&args.file, args.io.into(), args.common.thread_count(), |bytes| {
         phase.set_done(bytes);
         if cancel.load(Ordering::Relaxed) {
             // Only reading so far: there is nothing to clean up.

@@ -2,11 +2,11 @@
 
 use crate::frames::Frames;
 use clap::{Args, Parser, ValueEnum};
-use pbgi::cli::{CommonArgs, parse_resolution, parse_triple};
+use pbgi::cli::{CommonArgs, IoMode, parse_resolution, parse_triple};
 use pbgi::{Aov, AovNames, AovPreset};
 use pbgi::{
     CameraChoice, EnvironmentSpec, GlossSettings, ImportanceTerms, LightSource, PbgiError,
-    ShadeSettings,
+    ShadeSettings, StoreSettings,
 };
 use std::path::PathBuf;
 
@@ -56,9 +56,40 @@ pub struct ShadeArgs {
     /// What is written
     #[command(flatten)]
     pub output_options: OutputArgs,
+    /// How the octree file is read
+    #[command(flatten)]
+    pub store: StoreArgs,
     /// Options of every tool
     #[command(flatten)]
     pub common: CommonArgs,
+}
+
+/// How the octree file is read.
+#[derive(Clone, Debug, Args)]
+#[command(next_help_heading = "Octree file")]
+pub struct StoreArgs {
+    /// How the octree file is read
+    #[arg(long, value_enum, value_name = "HOW", default_value = "read", hide_short_help = true)]
+    pub io: IoMode,
+    /// Shade on without pages that are damaged
+    ///
+    /// What lies in them counts as nothing. How many were left out is told in a warning, the statistics and the picture's attributes.
+    #[arg(long, hide_short_help = true)]
+    pub skip_damaged: bool,
+    /// Record which pages of the octree file are asked for, in order
+    #[arg(long, value_name = "FILE", hide_short_help = true)]
+    pub trace_pages: Option<PathBuf>,
+}
+
+impl StoreArgs {
+    /// What was asked for.
+    pub fn settings(&self) -> StoreSettings {
+        StoreSettings {
+            backend: self.io.into(),
+            skip_damaged: self.skip_damaged,
+            trace: self.trace_pages.clone(),
+        }
+    }
 }
 
 /// What a picture shows.

@@ -53,6 +53,7 @@ pub fn args_of(args: &ShadeArgs, number: u32) -> ShadeArgs {
         args.output_options.preview.as_mut(),
         args.output_options.contact_sheet.as_mut(),
         args.output_options.stats_json.as_mut(),
+        args.store.trace_pages.as_mut(),
     ];
     for path in paths.into_iter().flatten() {
         *path = numbered_path(path, number);
@@ -70,8 +71,9 @@ pub fn args_of(args: &ShadeArgs, number: u32) -> ShadeArgs {
 /// Refuses frames that would overwrite each other.
 pub fn check(args: &ShadeArgs) -> Result<(), PbgiError> {
     let output = &args.output_options;
-    let others = [&output.preview, &output.contact_sheet, &output.stats_json].into_iter().flatten();
-    for path in std::iter::once(&args.output).chain(others) {
+    let others =
+        [&output.preview, &output.contact_sheet, &output.stats_json, &args.store.trace_pages];
+    for path in std::iter::once(&args.output).chain(others.into_iter().flatten()) {
         if !path.to_string_lossy().contains('#') {
             return Err(PbgiError::usage(format!(
                 "{} is the same for all frames; put #### where the frame's number goes",

@@ -64,7 +64,9 @@ fn shade_one(
     let settings = settings(args);
     settings.validate()?;
     let output = &args.output_options;
-    for path in [&output.stats_json, &output.preview, &output.contact_sheet].into_iter().flatten() {
+    let others =
+        [&output.stats_json, &output.preview, &output.contact_sheet, &args.store.trace_pages];
+    for path in others.into_iter().flatten() {
         if path.as_os_str() != "-" {
             check_writable(path)?;
         }
@@ -104,6 +106,7 @@ fn settings(args: &ShadeArgs) -> ShadeSettings {
         check_receivers: args.quality.check,
         threads: args.common.thread_count(),
         memory_bytes: args.common.memory_limit,
+        io: args.store.settings(),
     }
 }
 

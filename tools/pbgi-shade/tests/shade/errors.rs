@@ -2,7 +2,7 @@
 
 use crate::support::{SCENE, fail, octree, run, text};
 use pbgi::write_environment_exr;
-use pbgi_image::RgbImage;
+use pbgi_image::{AttributeValue, RgbImage, read_exr};
 
 const SMALL: [&str; 4] = ["--resolution", "32x18", "--progress", "none"];
 
@@ -112,4 +112,46 @@ fn settings_out_of_range_are_misuse() {
     std::fs::write(&bare, ply).unwrap();
     let message = fail(3, &[text(&octree), "--receivers", text(&bare), "-o", text(&target), "-q"]);
     assert!(message.contains("normals"), "{message}");
+}
+
+#[test]
+fn damaged_pages_are_skipped_on_request_and_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let [damaged, target, stats] =
+        ["damaged.pbgi", "out.exr", "out.json"].map(|name| folder.path().join(name));
+    let mut bytes = std::fs::read(octree()).unwrap();
+    // The third page is behind the header and two pages of 4 KiB at most.
+    bytes[256 + 8192 + 100] ^= 0x55;
+    std::fs::write(&damaged, &bytes).unwrap();
+    let fixed = [text(&damaged), "--scene", SCENE, "-o", text(&target)];
+    let detail = ["--solid-angle", "0"];
+    let message = fail(3, &[&fixed, &SMALL[..], &detail].concat());
+    assert!(message.contains("damaged.pbgi") && message.contains("--skip-damaged"), "{message}");
+    let mut images = Vec::new();
+    for (io, threads) in [("read", "1"), ("map", "2")] {
+        let options = ["--io", io, "-t", threads, "--skip-damaged", "--stats-json", text(&stats)];
+        let output = run(&[&fixed, &SMALL[..], &detail, &options].concat());
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{message}");
+        assert!(message.contains("warning: 1 of") && message.contains("left out"), "{message}");
+        let json = std::fs::read(&stats).unwrap();
+        let report: serde_json::Value = serde_json::from_slice(&json).unwrap();
+        let page = report["damaged_pages"][0].as_u64().unwrap();
+        let (_, metadata) = read_exr(&target).unwrap();
+        let said = AttributeValue::Text(format!("1 left out: {page}"));
+        assert!(metadata.attributes.contains(&("pbgi:damagedPages".to_owned(), said)));
+        images.push(std::fs::read(&target).unwrap());
+    }
+    assert_eq!(images[0], images[1]);
+}
+
+#[test]
+fn requests_for_pages_are_recorded() {
+    let folder = tempfile::tempdir().unwrap();
+    let (octree, target) = (octree(), folder.path().join("out.exr"));
+    let trace = folder.path().join("out.trace");
+    let fixed = [text(&octree), "--scene", SCENE, "-o", text(&target), "-q"];
+    let output = run(&[&fixed, &SMALL[..], &["--trace-pages", text(&trace)]].concat());
+    assert!(output.status.success(), "{output:?}");
+    assert!(std::fs::read(&trace).unwrap().starts_with(b"PBGITRC1"));
 }
