@@ -376,7 +376,10 @@ fn main() -> Result<()> {
         std::fs::write(path, serde_json::to_string_pretty(&all)?)?;
     }
     if let Some(path) = &arguments.svg {
-        std::fs::write(path, pbgi_benches::plot(&all_lines(&all)))?;
+        std::fs::write(
+            path,
+            pbgi_benches::plot(&all_lines(&all), "relative RMSE against us per receiver"),
+        )?;
     }
     Ok(())
 }

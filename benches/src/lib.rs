@@ -2,7 +2,9 @@
 #![forbid(unsafe_code)]
 
 use anyhow::Result;
-use pbgi_build::{BuildOptions, SortedStream, StreamError, StreamSummary, build_octree};
+use pbgi_build::{
+    BuildOptions, BuildReport, SortedStream, StreamError, StreamSummary, build_octree,
+};
 use pbgi_cloud::{SliceSource, Surfel, SurfelSource};
 use pbgi_math::MortonCode;
 use pbgi_scene::{DiceOptions, DicedScene, Scene, Spacing, TwoSided};
@@ -25,6 +27,19 @@ impl SortedStream for Stream {
 ///
 /// If a step fails.
 pub fn bake(surfels: &[Surfel], path: &Path) -> Result<Octree> {
+    Ok(bake_with(surfels, &BuildOptions::default(), path)?.0)
+}
+
+/// The same, built as told; with what was built.
+///
+/// # Errors
+///
+/// If a step fails.
+pub fn bake_with(
+    surfels: &[Surfel],
+    options: &BuildOptions<'_>,
+    path: &Path,
+) -> Result<(Octree, BuildReport)> {
     let sorted = sort_surfels(&mut SliceSource::new(surfels), &SortOptions::default())?;
     let facts = *sorted.summary();
     let summary = StreamSummary {
@@ -38,8 +53,10 @@ pub fn bake(surfels: &[Surfel], path: &Path) -> Result<Octree> {
         any_isotropic: facts.any_isotropic,
         z_up: false,
     };
-    build_octree(&mut Stream(sorted), &summary, &BuildOptions::default(), path)?;
-    Ok(Octree::open(path, &OpenOptions { cache_bytes: 1 << 30, ..OpenOptions::default() })?)
+    let report = build_octree(&mut Stream(sorted), &summary, options, path)?;
+    let octree =
+        Octree::open(path, &OpenOptions { cache_bytes: 1 << 30, ..OpenOptions::default() })?;
+    Ok((octree, report))
 }
 
 /// Dices a scene into about `count` surfels.
@@ -84,6 +101,8 @@ fn processor_ns() -> Option<u64> {
     text.split_whitespace().next()?.parse().ok()
 }
 
+mod lit;
 mod svg;
 
+pub use lit::{lit_surfels, read_sorted, reflected_radiance, scene_surfels};
 pub use svg::{Line, plot};

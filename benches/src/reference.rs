@@ -4,7 +4,7 @@
 
 use anyhow::{Context, Result};
 use clap::Parser;
-use pbgi_benches::{bake, dice};
+use pbgi_benches::{bake, dice, reflected_radiance};
 use pbgi_cloud::{ReceiverTable, Surfel};
 use pbgi_image::compare;
 use pbgi_light::{Environment, EnvironmentOptions};
@@ -15,7 +15,6 @@ use pbgi_schedule::{
     ShadeOptions, ShadeReport, Shading, shade_receivers,
 };
 use pbgi_store::Octree;
-use std::f32::consts::PI;
 use std::path::{Path, PathBuf};
 
 /// Compares with the references of a folder: rRMSE, bias and percentiles beside core-µs per receiver.
@@ -131,15 +130,10 @@ impl Bench<'_> {
 
     /// One bounce: surfels lit by the emitter, which itself counts as black.
     fn relight(&self, octree: &Octree, surfels: &[Surfel]) -> Result<Vec<Surfel>> {
-        let places = surfels.iter().map(|s| Receiver::diffuse(s.center(), s.normal()));
-        let places: Vec<Receiver> = places.collect();
-        let options = ShadeOptions { gather: self.settings, threads: 2, ..ShadeOptions::default() };
-        let (lit, _) = shade_receivers(octree, None, &places, &options)?;
-        let relit = surfels.iter().zip(&lit).map(|(surfel, light)| {
-            let (albedo, irradiance) = (surfel.albedo_rgb(), light.irradiance());
+        let reflected = reflected_radiance(octree, None, surfels, &self.settings)?;
+        let relit = surfels.iter().zip(reflected).map(|(surfel, reflected)| {
             let emits = surfel.radiance.iter().any(|&c| c > 0.0);
-            let reflected = |c: usize| if emits { 0.0 } else { albedo[c] / PI * irradiance[c] };
-            surfel.with_radiance(std::array::from_fn(reflected))
+            surfel.with_radiance(if emits { [0.0; 3] } else { reflected })
         });
         Ok(relit.collect())
     }

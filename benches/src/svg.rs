@@ -1,4 +1,4 @@
-//! Plots of error against time, both logarithmic.
+//! Plots of shares against something else, both logarithmic.
 
 use std::fmt::Write as _;
 
@@ -9,7 +9,7 @@ pub struct Line {
     pub plot: String,
     /// What it shows.
     pub label: String,
-    /// Microseconds and relative error, both above 0.
+    /// Something and a share, such as microseconds and a relative error; both above 0.
     pub points: Vec<(f64, f64)>,
 }
 
@@ -20,9 +20,9 @@ const MARGIN: f64 = 48.0;
 const COLORS: [&str; 7] =
     ["#777777", "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#b8860b", "#000000"];
 
-/// An SVG document with a plot for each name, two in a row.
+/// An SVG document with a plot for each name, two in a row; `axes` says what is drawn against what.
 #[must_use]
-pub fn plot(lines: &[Line]) -> String {
+pub fn plot(lines: &[Line], axes: &str) -> String {
     let mut names: Vec<&str> = lines.iter().map(|l| l.plot.as_str()).collect();
     names.dedup();
     let rows = names.len().div_ceil(2) as f64;
@@ -35,14 +35,14 @@ pub fn plot(lines: &[Line]) -> String {
         let (x, y) = ((index % 2) as f64 * WIDTH, (index / 2) as f64 * HEIGHT);
         let of_plot: Vec<&Line> = lines.iter().filter(|l| l.plot == *name).collect();
         let _ = writeln!(out, "<g transform=\"translate({x},{y})\">");
-        draw_plot(&mut out, name, &of_plot);
+        draw_plot(&mut out, &format!("{name}: {axes}"), &of_plot);
         out.push_str("</g>\n");
     }
     out.push_str("</svg>\n");
     out
 }
 
-fn draw_plot(out: &mut String, name: &str, lines: &[&Line]) {
+fn draw_plot(out: &mut String, title: &str, lines: &[&Line]) {
     let all = || lines.iter().flat_map(|l| &l.points);
     let range = |of: fn(&(f64, f64)) -> f64| {
         let (low, high) =
@@ -53,10 +53,7 @@ fn draw_plot(out: &mut String, name: &str, lines: &[&Line]) {
     let (inner_x, inner_y) = (WIDTH - 2.2 * MARGIN, HEIGHT - 2.0 * MARGIN);
     let px = |x: f64| MARGIN + (x.log10() - x0) / (x1 - x0).max(1e-9) * inner_x;
     let py = |y: f64| MARGIN + (y1 - y.log10()) / (y1 - y0).max(1e-9) * inner_y;
-    let _ = writeln!(
-        out,
-        "<text x=\"{MARGIN}\" y=\"24\" font-size=\"14\">{name}: relative RMSE against us per receiver</text>"
-    );
+    let _ = writeln!(out, "<text x=\"{MARGIN}\" y=\"24\" font-size=\"14\">{title}</text>");
     for decade in x0 as i32..=x1 as i32 {
         let (value, bottom) = (10f64.powi(decade), HEIGHT - MARGIN);
         let x = px(value);

@@ -6,5 +6,6 @@ mod faults;
 mod format_document;
 mod octree_file;
 mod reflections;
+mod schedule;
 mod support;
 mod walk;

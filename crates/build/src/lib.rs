@@ -25,6 +25,7 @@ pub use reduce::LobeSums;
 pub use writer::remove_unfinished;
 
 use pbgi_cloud::Surfel;
+pub use pbgi_format::LeafRounding;
 use pbgi_math::{DVec3, MortonCode, RootCube};
 use std::ops::Range;
 use std::sync::atomic::AtomicBool;
@@ -107,6 +108,8 @@ pub struct BuildOptions<'a> {
     pub page_bytes: usize,
     /// Most surfels of a leaf, 1 to 255.
     pub leaf_surfels_max: usize,
+    /// How much leaves round what they store.
+    pub rounding: LeafRounding,
     /// Compress pages with LZ4 where that makes them smaller.
     pub compress: bool,
     /// Which light to store.
@@ -133,6 +136,7 @@ impl Default for BuildOptions<'_> {
         Self {
             page_bytes: 64 << 10,
             leaf_surfels_max: 32,
+            rounding: LeafRounding::Compact,
             compress: false,
             channels: ChannelChoice::AsNeeded,
             albedo: true,

@@ -31,7 +31,7 @@ pub fn build_octree(
 }
 
 /// Builds the octree file `target` from pieces of a sorted stream, in one pass. The result depends on the
-/// surfels and on `page_bytes`, `leaf_surfels_max`, `compress` and `channels` only.
+/// surfels and on `page_bytes`, `leaf_surfels_max`, `rounding`, `compress`, `channels` and `albedo` only.
 ///
 /// Memory: the pieces in flight and what was built of them; 32 bytes for each page, for the page table; at most 21 levels times seven
 /// waiting treelets, in practice a few megabytes.
@@ -60,6 +60,7 @@ pub fn build_octree_from_pieces(
         layout: choose_layout(summary, options),
         page_bytes: options.page_bytes,
         leaf_surfels_max: options.leaf_surfels_max,
+        rounding: options.rounding,
         compress: options.compress,
     };
     let sink = FileWriter::create(target, options.compress)?;

@@ -9,7 +9,7 @@ use crate::pack::{Group, PendingContent, PendingNode};
 use crate::pages::PageSink;
 use crate::reduce::LobeReducer;
 use pbgi_cloud::Surfel;
-use pbgi_format::{CHILDREN_MAX, LeafWriter, SurfelLayout};
+use pbgi_format::{CHILDREN_MAX, LeafRounding, LeafWriter, SurfelLayout};
 use pbgi_math::{MORTON_AXIS_BITS, MortonCode, RootCube, Vec3};
 use std::borrow::Cow;
 use std::vec::Drain;
@@ -21,6 +21,7 @@ pub(crate) struct TreeSettings {
     pub layout: SurfelLayout,
     pub page_bytes: usize,
     pub leaf_surfels_max: usize,
+    pub rounding: LeafRounding,
     pub compress: bool,
 }
 
@@ -62,7 +63,7 @@ impl<S: PageSink> TreeBuilder<S> {
             sink,
             counts: Counts::default(),
             reducer: LobeReducer::default(),
-            leaf_writer: LeafWriter::default(),
+            leaf_writer: LeafWriter::new(settings.rounding),
         }
     }
 

@@ -36,7 +36,7 @@ pub use ply_writer::PlyWriter;
 pub use ptc::PtcPoints;
 pub use ptc_writer::{PtcPoint, PtcWriter};
 pub use raw::{RawKind, RawSource, RawWriter, write_raw_file};
-pub use receiver_table::{ReceiverColumn, ReceiverTable};
+pub use receiver_table::{ReceiverColumn, ReceiverReader, ReceiverTable};
 pub use record::{ClassFilter, CloudOptions, InvalidPolicy};
 pub use row_writer::RowWriter;
 pub use source::{CloudError, LeftOut, SliceSource, SurfelSource};

@@ -2,11 +2,13 @@
 
 use crate::ply_columns::{Column, NORMAL_NAMES};
 use crate::ply_points::open_ply;
-use crate::{CloudError, PlyElement, PlyKind, PlyRow, PlyType};
+use crate::{CloudError, PlyElement, PlyKind, PlyReader, PlyRow, PlyType};
 use pbgi_math::{DVec3, Vec3};
-use std::path::Path;
+use std::fs::File;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
 
-/// Receivers in file order, in memory.
+/// Receivers in file order, all or a part of them.
 #[derive(Clone, Debug, Default)]
 pub struct ReceiverTable {
     /// World position of the coordinate origin; not 0 only where the file has `double` positions.
@@ -20,7 +22,7 @@ pub struct ReceiverTable {
 }
 
 /// A named column of numbers.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct ReceiverColumn {
     /// Name as written.
     pub name: String,
@@ -33,50 +35,25 @@ impl ReceiverTable {
     ///
     /// # Errors
     ///
-    /// If the file cannot be read, lacks those columns, or has a position that is not finite or a
-    /// normal without direction.
+    /// As [`ReceiverReader`].
     pub fn read(path: &Path) -> Result<Self, CloudError> {
-        let malformed = |message: String| CloudError::malformed(path, message);
-        let mut reader = open_ply(path)?;
-        if !reader.seek_element("vertex")? {
-            return Err(malformed("no element `vertex`; receivers are vertices".into()));
-        }
-        let element = reader.element().expect("seek_element found it").clone();
-        let position = Column::find_triple(&element, &[["x", "y", "z"]])
-            .ok_or_else(|| malformed("vertices have no columns `x`, `y`, `z`".into()))?;
-        let normal = Column::find_triple(&element, &NORMAL_NAMES).ok_or_else(|| {
-            malformed("vertices have no columns `nx`, `ny`, `nz`; receivers need normals".into())
-        })?;
-        let others = other_columns(&element, &[position, normal].concat());
-        let mut table = Self {
-            columns: others
-                .iter()
-                .map(|(_, name)| ReceiverColumn { name: name.clone(), values: Vec::new() })
-                .collect(),
-            ..Self::default()
-        };
-        let mut row = PlyRow::default();
-        while reader.read_row(&mut row)? {
-            let index = table.positions.len();
-            let p = DVec3::from_array(position.map(|c| row.scalar(c.index)));
-            let n = DVec3::from_array(normal.map(|c| row.scalar(c.index)));
-            if !p.is_finite() {
-                return Err(malformed(format!("vertex row {index}: position is not finite")));
-            }
-            let unit = (n / n.abs().max_element()).normalize();
-            if !unit.is_finite() {
-                return Err(malformed(format!("vertex row {index}: normal has no direction")));
-            }
-            if index == 0 && position.iter().any(|c| c.ty == PlyType::F64) {
-                table.origin = p.round();
-            }
-            table.positions.push((p - table.origin).as_vec3());
-            table.normals.push(unit.as_vec3());
-            for (column, (source, _)) in table.columns.iter_mut().zip(&others) {
-                column.values.push(row.scalar(*source) as f32);
-            }
-        }
+        let mut reader = ReceiverReader::open(path)?;
+        let mut table = Self::default();
+        reader.read_chunk(usize::MAX, &mut table)?;
         Ok(table)
+    }
+
+    /// Drops all rows and columns; their memory stays.
+    fn reset(&mut self, origin: DVec3, names: &[String]) {
+        self.origin = origin;
+        self.positions.clear();
+        self.normals.clear();
+        self.columns.truncate(names.len());
+        self.columns.resize_with(names.len(), ReceiverColumn::default);
+        for (column, name) in self.columns.iter_mut().zip(names) {
+            column.name.clone_from(name);
+            column.values.clear();
+        }
     }
 
     /// Number of receivers.
@@ -95,6 +72,127 @@ impl ReceiverTable {
     #[must_use]
     pub fn column(&self, name: &str) -> Option<&[f32]> {
         self.columns.iter().find(|c| c.name == name).map(|c| c.values.as_slice())
+    }
+}
+
+/// Reads receivers from a PLY file in parts of bounded size.
+pub struct ReceiverReader {
+    path: PathBuf,
+    reader: PlyReader<BufReader<File>>,
+    position: [Column; 3],
+    normal: [Column; 3],
+    /// Places of the other columns in a row, and their names.
+    others: Vec<usize>,
+    names: Vec<String>,
+    origin: DVec3,
+    count: u64,
+    /// The row read last, yet to be handed out if there is one.
+    row: PlyRow,
+    has_row: bool,
+    next: u64,
+}
+
+impl ReceiverReader {
+    /// Opens a file whose vertices have `x y z` and `nx ny nz` (or `normal_x` …).
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be read or lacks those columns.
+    pub fn open(path: &Path) -> Result<Self, CloudError> {
+        let malformed = |message: String| CloudError::malformed(path, message);
+        let mut reader = open_ply(path)?;
+        if !reader.seek_element("vertex")? {
+            return Err(malformed("no element `vertex`; receivers are vertices".into()));
+        }
+        let element = reader.element().expect("seek_element found it").clone();
+        let position = Column::find_triple(&element, &[["x", "y", "z"]])
+            .ok_or_else(|| malformed("vertices have no columns `x`, `y`, `z`".into()))?;
+        let normal = Column::find_triple(&element, &NORMAL_NAMES).ok_or_else(|| {
+            malformed("vertices have no columns `nx`, `ny`, `nz`; receivers need normals".into())
+        })?;
+        let (others, names) =
+            other_columns(&element, &[position, normal].concat()).into_iter().unzip();
+        let mut row = PlyRow::default();
+        let has_row = reader.read_row(&mut row)?;
+        let mut origin = DVec3::ZERO;
+        if has_row && position.iter().any(|c| c.ty == PlyType::F64) {
+            let first = DVec3::from_array(position.map(|c| row.scalar(c.index)));
+            origin = if first.is_finite() { first.round() } else { origin };
+        }
+        let (path, count) = (path.to_owned(), element.count);
+        Ok(Self {
+            path,
+            reader,
+            position,
+            normal,
+            others,
+            names,
+            origin,
+            count,
+            row,
+            has_row,
+            next: 0,
+        })
+    }
+
+    /// Number of receivers the file claims to have.
+    #[must_use]
+    pub fn count(&self) -> u64 {
+        self.count
+    }
+
+    /// World position of the coordinate origin; not 0 only where the file has `double` positions.
+    #[must_use]
+    pub fn origin(&self) -> DVec3 {
+        self.origin
+    }
+
+    /// Names of the columns besides positions and normals.
+    #[must_use]
+    pub fn names(&self) -> &[String] {
+        &self.names
+    }
+
+    /// Replaces `table` by the next rows, at most `rows_max` of them; `false` when there are no more.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be read on, or has a position that is not finite or a normal without direction.
+    pub fn read_chunk(
+        &mut self,
+        rows_max: usize,
+        table: &mut ReceiverTable,
+    ) -> Result<bool, CloudError> {
+        table.reset(self.origin, &self.names);
+        while self.has_row && table.len() < rows_max {
+            self.append_row(table)?;
+            self.has_row = self.reader.read_row(&mut self.row)?;
+            self.next += 1;
+        }
+        Ok(self.has_row)
+    }
+
+    fn append_row(&self, table: &mut ReceiverTable) -> Result<(), CloudError> {
+        let scalars = |columns: &[Column; 3]| {
+            DVec3::from_array(columns.map(|column| self.row.scalar(column.index)))
+        };
+        let malformed = |what: &str| {
+            CloudError::malformed(&self.path, format!("vertex row {}: {what}", self.next))
+        };
+        let (p, n) = (scalars(&self.position), scalars(&self.normal));
+        if !p.is_finite() {
+            return Err(malformed("position is not finite"));
+        }
+        let unit = (n / n.abs().max_element()).normalize();
+        if !unit.is_finite() {
+            return Err(malformed("normal has no direction"));
+        }
+        table.positions.push((p - self.origin).as_vec3());
+        table.normals.push(unit.as_vec3());
+        for (column, source) in table.columns.iter_mut().zip(&self.others) {
+            column.values.push(self.row.scalar(*source) as f32);
+        }
+        Ok(())
     }
 }
 
@@ -137,6 +235,40 @@ mod tests {
         assert_eq!(table.column("ref_r"), Some([9.0, 7.0].as_slice()));
         assert_eq!(table.column("ref_g"), Some([8.0, 6.0].as_slice()));
         assert_eq!(table.column("x"), None);
+    }
+
+    #[test]
+    fn parts_are_those_of_the_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("t.ply");
+        let names = ["x", "y", "z", "nx", "ny", "nz", "a"];
+        let mut writer = PlyWriter::create_with_doubles(&path, &names, 3).unwrap();
+        for i in 0..23 {
+            let x = 5e5 + f64::from(i);
+            writer.write_double_rows(&[x, 1.0, 0.0, 0.0, 0.0, 1.0, f64::from(i)]).unwrap();
+        }
+        writer.finish().unwrap();
+        let whole = ReceiverTable::read(&path).unwrap();
+        assert_eq!((whole.len(), whole.origin.x), (23, 5e5));
+        let mut reader = ReceiverReader::open(&path).unwrap();
+        assert_eq!((reader.count(), reader.origin()), (23, whole.origin));
+        assert_eq!(reader.names(), ["a"]);
+        let (mut part, mut positions, mut values) = (ReceiverTable::default(), vec![], vec![]);
+        let mut sizes = Vec::new();
+        loop {
+            let more = reader.read_chunk(10, &mut part).unwrap();
+            sizes.push(part.len());
+            positions.extend_from_slice(&part.positions);
+            values.extend_from_slice(part.column("a").unwrap());
+            if !more {
+                break;
+            }
+        }
+        assert_eq!(sizes, [10, 10, 3]);
+        assert_eq!(
+            (positions, values.as_slice()),
+            (whole.positions.clone(), whole.column("a").unwrap())
+        );
     }
 
     #[test]

@@ -11,5 +11,6 @@ mod pick;
 pub use cluster::{Cluster, Piece};
 pub use metric::{NodeSeen, Threshold, UniformThreshold};
 pub use pick::{
-    CutReceiver, CutScratch, CutStats, CutVisitor, SurfelSeen, mean_brightness, pick_cut,
+    CutReceiver, CutScratch, CutStats, CutVisitor, LEVELS, LevelStats, SurfelSeen, mean_brightness,
+    pick_cut,
 };

@@ -7,7 +7,7 @@ use pbgi_format::{
     SurfelLayout, SurfelPage,
 };
 use pbgi_math::{Aabb, Vec3};
-use pbgi_store::{PageRef, Reader, StoreError};
+use pbgi_store::{PageRef, Reader, ReaderStats, StoreError};
 
 /// The place a cut is picked for.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,6 +44,40 @@ pub trait CutVisitor {
     fn take_surfel(&mut self, surfel: &SurfelSeen);
 }
 
+/// Levels that are told apart; what lies deeper counts to the last.
+pub const LEVELS: usize = 24;
+
+/// Requests for pages from groups of one level of the tree, 0 the root's; those for a leaf's surfels count to the level below its group.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LevelStats {
+    /// Pages asked for.
+    pub requests: u64,
+    /// Pages that had to be read for it.
+    pub misses: u64,
+    /// Stored bytes of those.
+    pub bytes_read: u64,
+    /// Nanoseconds in the shared cache.
+    pub wait_ns: u64,
+}
+
+impl LevelStats {
+    /// Counts a request between two states of a reader.
+    #[inline(always)]
+    fn note(&mut self, before: &ReaderStats, after: &ReaderStats) {
+        self.requests += 1;
+        self.misses += after.pages_read - before.pages_read;
+        self.bytes_read += after.bytes_read - before.bytes_read;
+        self.wait_ns += after.wait_ns - before.wait_ns;
+    }
+
+    fn add(&mut self, other: &Self) {
+        self.requests += other.requests;
+        self.misses += other.misses;
+        self.bytes_read += other.bytes_read;
+        self.wait_ns += other.wait_ns;
+    }
+}
+
 /// What picking cuts did; sums over receivers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CutStats {
@@ -57,6 +91,8 @@ pub struct CutStats {
     pub culled_horizon: u64,
     /// Nodes dropped because all they could touch was opaque.
     pub culled_opaque: u64,
+    /// Pages asked for, by level of the tree.
+    pub levels: [LevelStats; LEVELS],
 }
 
 impl CutStats {
@@ -73,6 +109,9 @@ impl CutStats {
         self.surfels += other.surfels;
         self.culled_horizon += other.culled_horizon;
         self.culled_opaque += other.culled_opaque;
+        for (level, other) in self.levels.iter_mut().zip(&other.levels) {
+            level.add(other);
+        }
     }
 }
 
@@ -131,10 +170,14 @@ pub fn pick_cut<V: CutVisitor, T: Threshold>(
     let layout = octree.layout();
     let CutScratch { frames, order } = scratch;
     frames.clear();
+    let before = reader.stats();
     let root = reader.pin_page(header.root_page)?;
+    stats.levels[0].note(&before, &reader.stats());
     let start = (root, header.root_page, header.root_offset);
     frames.push(open_frame(reader, start, receiver, threshold, &layout, stats)?);
-    while let Some(frame) = frames.last_mut() {
+    loop {
+        let level = frames.len();
+        let Some(frame) = frames.last_mut() else { return Ok(()) };
         if frame.step == CHILDREN_MAX as u8 {
             frames.pop();
             continue;
@@ -182,8 +225,13 @@ pub fn pick_cut<V: CutVisitor, T: Threshold>(
             ChildLink::Leaf { offset, count } => {
                 let page = view.fields().surfel_page;
                 let place = (offset, count);
-                let leaf =
-                    Leaf { page, place, frame: group.leaf_frame(index), owner: frame.page_id };
+                let leaf = Leaf {
+                    page,
+                    place,
+                    frame: group.leaf_frame(index),
+                    owner: frame.page_id,
+                    level,
+                };
                 take_leaf(reader, &leaf, receiver, visitor, order, &layout, stats)?;
                 continue;
             }
@@ -193,16 +241,29 @@ pub fn pick_cut<V: CutVisitor, T: Threshold>(
                     let error = bad_link("link: index", link);
                     return Err(invalid(reader, frame.page_id, error));
                 };
-                let Some(page) = reader.pin_sound_page(link.page)? else { continue };
+                let Some(page) = pin_sound_page(reader, link.page, level, stats)? else { continue };
                 (page, link.page, link.offset)
             }
         };
-        if frames.len() >= header.depth as usize {
+        if level >= header.depth as usize {
             return Err(reader.invalid_page(start.1, bad_link("tree: depth", header.depth)));
         }
         frames.push(open_frame(reader, start, receiver, threshold, &layout, stats)?);
     }
-    Ok(())
+}
+
+/// Pins a page that a group of this level needs; none where it is damaged and left out.
+#[inline(always)]
+fn pin_sound_page(
+    reader: &mut Reader<'_>,
+    id: PageId,
+    level: usize,
+    stats: &mut CutStats,
+) -> Result<Option<PageRef>, StoreError> {
+    let before = reader.stats();
+    let page = reader.pin_sound_page(id)?;
+    stats.levels[level.min(LEVELS - 1)].note(&before, &reader.stats());
+    Ok(page)
 }
 
 /// Mean radiance of all surfaces of a file, of the brightest channel, weighted by area; W·m⁻²·sr⁻¹. 0 for files without light.
@@ -357,6 +418,8 @@ struct Leaf {
     frame: Aabb,
     /// The page that links to it.
     owner: PageId,
+    /// Its level.
+    level: usize,
 }
 
 #[inline(always)]
@@ -372,7 +435,7 @@ fn take_leaf<V: CutVisitor>(
     let Some(id) = leaf.page else {
         return Err(reader.invalid_page(leaf.owner, bad_link("leaf: surfel page", u32::MAX)));
     };
-    let Some(page) = reader.pin_sound_page(id)? else { return Ok(()) };
+    let Some(page) = pin_sound_page(reader, id, leaf.level, stats)? else { return Ok(()) };
     let surfels =
         SurfelPage::new(page.bytes()).and_then(|page| page.leaf(leaf.place, &leaf.frame, layout));
     let surfels = match surfels {

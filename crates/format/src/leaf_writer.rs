@@ -3,7 +3,7 @@
 use crate::bits::{BitWriter, PUSH_BITS_MAX, Word, index_bits, number_bits};
 use crate::leaf::{CODE_MASK, OrientationMode, PositionFrame, SizeMode, WIDTH_BITS};
 use crate::surfel::{RADIANCE, SIZE_RATIO, encode_albedo};
-use crate::{Channels, SurfelLayout};
+use crate::{Channels, MiniFloat, SurfelLayout};
 use pbgi_math::{Aabb, Vec3, narrow_octahedral24};
 
 /// Most bits of a coordinate.
@@ -45,15 +45,25 @@ const RADIANCE_SPAN: u32 = 16 << 9;
 /// Bits of an orientation that hold the normal.
 const NORMAL_BITS: u32 = 0xff_ffff;
 
+/// Bits of [`Codes::sizes`] that are flags.
+const SIZE_FLAGS: u32 = !(CODE_MASK | CODE_MASK << 16);
+
 /// Bits of an albedo's channel at most, above the leaf's least.
 const ALBEDO_WIDTH_MAX: u32 = 6;
 
 /// What [`LeafWriter::record`] puts into one word fits it.
-const _: () = assert!(3 * POSITION_WIDTH_MAX <= PUSH_BITS_MAX);
-const _: () = assert!(3 * (RADIANCE_WIDTH_MAX + ALBEDO_WIDTH_MAX) <= PUSH_BITS_MAX);
+const _: () =
+    assert!(3 * POSITION_WIDTH_MAX <= PUSH_BITS_MAX && 3 * MiniFloat::BITS <= PUSH_BITS_MAX);
 
-/// Where a pair of codes of size and area has its flags.
-const FLAGS_MASK: u32 = !(CODE_MASK | CODE_MASK << 16);
+/// How much a leaf rounds what it stores.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LeafRounding {
+    /// To steps small against the surfels, for few bytes.
+    #[default]
+    Compact,
+    /// To the finest steps the layout has: what `Compact` costs is measured against it.
+    Finest,
+}
 
 /// A surfel to be stored.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -201,9 +211,14 @@ struct Span {
     largest: u32,
 }
 
-impl Span {
-    const NONE: Self = Self { least: CODE_MASK, largest: 0 };
+impl Default for Span {
+    /// Of no codes.
+    fn default() -> Self {
+        Self { least: CODE_MASK, largest: 0 }
+    }
+}
 
+impl Span {
     fn with(self, code: u32) -> Self {
         Self { least: self.least.min(code), largest: self.largest.max(code) }
     }
@@ -312,7 +327,9 @@ struct Form {
 }
 
 /// Encodes leaves, one after the other; keeps its memory.
+#[derive(Default)]
 pub struct LeafWriter {
+    rounding: LeafRounding,
     surfels: Vec<Codes>,
     /// Least half edge of rectangles.
     tile_edge: Option<f32>,
@@ -330,25 +347,17 @@ pub struct LeafWriter {
     places: Vec<[f32; 3]>,
 }
 
-impl Default for LeafWriter {
-    fn default() -> Self {
-        Self {
-            surfels: Vec::new(),
-            tile_edge: None,
-            area_sum: 0.0,
-            any_isotropic: false,
-            ratio: None,
-            size_span: Span::NONE,
-            area_span: Span::NONE,
-            orientations: Listed::default(),
-            sizes: Listed::default(),
-            albedos: Listed::default(),
-            places: Vec::new(),
-        }
-    }
-}
-
 impl LeafWriter {
+    /// A writer of leaves rounded so.
+    #[must_use]
+    pub fn new(rounding: LeafRounding) -> Self {
+        Self { rounding, ..Self::default() }
+    }
+
+    fn is_finest(&self) -> bool {
+        self.rounding == LeafRounding::Finest
+    }
+
     /// Adds a surfel to the leaf.
     #[inline]
     pub fn push(&mut self, surfel: &SurfelFields, layout: &SurfelLayout) {
@@ -430,9 +439,9 @@ impl LeafWriter {
         self.forget();
     }
 
-    /// A surfel as it is stored: its place, its orientation, its size and area, its light and albedo.
+    /// A surfel as it is stored: its place, its orientation, its size and area, its light, its albedo.
     #[inline(always)]
-    fn record(&self, index: usize, form: &Form) -> [Word; 4] {
+    fn record(&self, index: usize, form: &Form) -> [Word; 5] {
         let Form { radius, area, radiance, .. } = form;
         let surfel = &self.surfels[index];
         let word = Word::default();
@@ -459,16 +468,16 @@ impl LeafWriter {
         };
         let light = push_all(word, radiance.steps(surfel.radiance), radiance.width);
         let color = match &form.albedo {
-            None => self.albedos.push_index(index, light),
-            Some(fit) => push_all(light, fit.steps(albedo_codes(surfel)), fit.width),
+            None => self.albedos.push_index(index, word),
+            Some(fit) => push_all(word, fit.steps(albedo_codes(surfel)), fit.width),
         };
-        [place, turn, sizes, color]
+        [place, turn, sizes, light, color]
     }
 
     fn forget(&mut self) {
         self.surfels.clear();
         (self.tile_edge, self.ratio, self.area_sum) = (None, None, 0.0);
-        (self.size_span, self.area_span) = (Span::NONE, Span::NONE);
+        (self.size_span, self.area_span) = (Span::default(), Span::default());
         self.any_isotropic = false;
     }
 
@@ -483,8 +492,12 @@ impl LeafWriter {
         let mean = half_edge(self.area_sum / self.surfels.len() as f32);
         let least = half_edge(layout.area.decode(self.area_span.least as u16));
         let tile = self.tile_edge.unwrap_or(f32::MAX);
-        let step = |steps: &StepsPerEdge| {
-            (mean / steps.mean).min(least / steps.least).min(tile / steps.tile)
+        let step = |steps: &StepsPerEdge| match self.rounding {
+            LeafRounding::Compact => {
+                (mean / steps.mean).min(least / steps.least).min(tile / steps.tile)
+            }
+            // No more bits than there are make a step of nothing.
+            LeafRounding::Finest => 0.0,
         };
         let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
         self.places.clear();
@@ -507,8 +520,8 @@ impl LeafWriter {
     }
 
     fn choose_orientation(&mut self) -> OrientationMode {
-        let has_tiles = self.tile_edge.is_some();
-        let bits_max = self.surfels.len() as u32 * if has_tiles { 32 } else { 20 };
+        let is_wide = self.tile_edge.is_some() || self.is_finest();
+        let bits_max = self.surfels.len() as u32 * if is_wide { 32 } else { 20 };
         let all = self.surfels.iter().map(|s| s.orientation);
         if self.orientations.collect(all, 4, bits_max) {
             let normal = |orientation: u32| orientation & NORMAL_BITS;
@@ -516,7 +529,7 @@ impl LeafWriter {
             let is_one = values.iter().all(|&o| normal(o) == normal(values[0]));
             let is_plane = is_one && !self.any_isotropic;
             if is_plane { OrientationMode::Plane } else { OrientationMode::Listed }
-        } else if has_tiles {
+        } else if is_wide {
             OrientationMode::Wide
         } else {
             OrientationMode::Narrow
@@ -532,8 +545,8 @@ impl LeafWriter {
         let mut best = (32 * count, SizeMode::Wide);
         // A list is taken where it is shorter than this.
         let mut list_bits_max = best.0 - 1;
-        let flags = self.surfels[0].sizes & FLAGS_MASK;
-        if self.surfels.iter().all(|s| s.sizes & FLAGS_MASK == flags) {
+        let flags = self.surfels[0].sizes & SIZE_FLAGS;
+        if !self.is_finest() && self.surfels.iter().all(|s| s.sizes & SIZE_FLAGS == flags) {
             let both = 48 + count * (radius.width + area.width);
             let one = 40 + count * area.width;
             let (least, largest) = self.ratio.unwrap_or_default();
@@ -554,7 +567,7 @@ impl LeafWriter {
     }
 
     fn write_sizes(&self, size: SizeMode, radius: &Below, area: &Below, out: &mut Vec<u8>) {
-        let flags = self.surfels[0].sizes & FLAGS_MASK;
+        let flags = self.surfels[0].sizes & SIZE_FLAGS;
         let (isotropic, front_only) = (flags & 0xffff, flags >> 16);
         let largest = |below: &Below, flag: u32| ((below.largest | flag) as u16).to_le_bytes();
         match size {
@@ -579,7 +592,10 @@ impl LeafWriter {
         if layout.channels == Channels::Occlusion {
             return Above::default();
         }
-        let limits = (RADIANCE_SHIFT_MIN, RADIANCE_WIDTH_MAX);
+        let limits = match self.rounding {
+            LeafRounding::Compact => (RADIANCE_SHIFT_MIN, RADIANCE_WIDTH_MAX),
+            LeafRounding::Finest => (0, MiniFloat::BITS),
+        };
         let fit = Above::fit(self.surfels.iter().map(|s| s.radiance), limits, RADIANCE_SPAN);
         out.extend_from_slice(&fit.control().to_le_bytes());
         if fit.floor == 0 || fit.bits() > 0 {
@@ -595,7 +611,8 @@ impl LeafWriter {
         if !layout.albedo {
             return Some(Above::default());
         }
-        let fit = Above::fit(self.surfels.iter().map(albedo_codes), (0, ALBEDO_WIDTH_MAX), 0);
+        let width_max = if self.is_finest() { u8::BITS } else { ALBEDO_WIDTH_MAX };
+        let fit = Above::fit(self.surfels.iter().map(albedo_codes), (0, width_max), 0);
         let all = self.surfels.iter().map(|s| s.albedo);
         if self.albedos.collect(all, 3, 48 + self.surfels.len() as u32 * fit.bits()) {
             self.albedos.write(3, out);
@@ -636,7 +653,7 @@ fn albedo_codes(surfel: &Codes) -> [u32; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{LeafSurfel, LeafView, MiniFloat, SURFEL_PAGE_HEADER_BYTES, finish_surfel_page};
+    use crate::{LeafSurfel, LeafView, SURFEL_PAGE_HEADER_BYTES, finish_surfel_page};
     use pbgi_math::{TileCode, decode_octahedral24, encode_octahedral24};
 
     const LAYOUT: SurfelLayout = SurfelLayout {
@@ -684,8 +701,15 @@ mod tests {
     }
 
     fn page_of(surfels: &[SurfelFields], layout: &SurfelLayout) -> Vec<u8> {
+        page_by(&mut LeafWriter::default(), surfels, layout)
+    }
+
+    fn page_by(
+        writer: &mut LeafWriter,
+        surfels: &[SurfelFields],
+        layout: &SurfelLayout,
+    ) -> Vec<u8> {
         let mut page = vec![0; SURFEL_PAGE_HEADER_BYTES];
-        let mut writer = LeafWriter::default();
         surfels.iter().for_each(|s| writer.push(s, layout));
         writer.finish(&FRAME, layout, &mut page);
         finish_surfel_page(&mut page, surfels.len() as u32);
@@ -693,9 +717,12 @@ mod tests {
     }
 
     fn store(surfels: &[SurfelFields], layout: &SurfelLayout) -> Vec<LeafSurfel> {
-        let page = page_of(surfels, layout);
+        read_page(&page_of(surfels, layout), surfels, layout)
+    }
+
+    fn read_page(page: &[u8], surfels: &[SurfelFields], layout: &SurfelLayout) -> Vec<LeafSurfel> {
         let place = (SURFEL_PAGE_HEADER_BYTES as u32, surfels.len() as u32);
-        let leaf = LeafView::new(&page, place, &FRAME, layout).unwrap();
+        let leaf = LeafView::new(page, place, &FRAME, layout).unwrap();
         (0..leaf.count())
             .map(|i| {
                 assert_eq!(leaf.surfel(i).center, leaf.center(i));
@@ -750,6 +777,28 @@ mod tests {
                     assert!(error.abs() <= 2.51 / 255.0);
                 }
                 assert!(!back.isotropic && !back.front_only && !back.tile.is_known());
+            }
+        }
+    }
+
+    #[test]
+    fn finest_leaves_round_by_the_last_bits_of_their_codes() {
+        let mut random = Random(2);
+        let disks: Vec<_> = (0..32).map(|_| random.disk()).collect();
+        let mut writer = LeafWriter::new(LeafRounding::Finest);
+        for surfels in [disks, wall()] {
+            let page = page_by(&mut writer, &surfels, &LAYOUT);
+            for (surfel, back) in surfels.iter().zip(read_page(&page, &surfels, &LAYOUT)) {
+                // Coordinates of 15 bits.
+                let step = FRAME.extent().max_element() / f32::from(1u16 << 15);
+                assert!((back.center - surfel.center).length() < 2.0 * step);
+                assert_eq!(back.normal, decode_octahedral24(surfel.orientation));
+                assert!((back.area / surfel.area - 1.0).abs() < 1e-3);
+                for channel in 0..3 {
+                    assert!((back.radiance[channel] / surfel.radiance[channel] - 1.0).abs() < 1e-3);
+                    let error = back.albedo[channel].sqrt() - surfel.albedo[channel].sqrt();
+                    assert!(error.abs() <= 0.51 / 255.0);
+                }
             }
         }
     }

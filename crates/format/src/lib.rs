@@ -20,7 +20,7 @@ pub use group::{
 };
 pub use header::{Channels, FORMAT_VERSION, HEADER_BYTES, Header, HeaderFlags, MAGIC};
 pub use leaf::LeafView;
-pub use leaf_writer::{LeafWriter, SurfelFields};
+pub use leaf_writer::{LeafRounding, LeafWriter, SurfelFields};
 pub use lobe::{LOBES_MAX, Lobe};
 pub use mini_float::MiniFloat;
 pub use page::{

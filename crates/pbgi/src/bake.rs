@@ -7,6 +7,7 @@ use crate::bake_request::{BakeRequest, NormalsChoice};
 use crate::input::Inputs;
 use crate::memory::{peak_resident_bytes, process_use};
 use crate::output_path::{folder_of, free_bytes, temporary_path};
+use crate::pass_files::{FinishedPass, PassFiles};
 use crate::progress::{Phase, Progress, format_bytes};
 use crate::relight::{EmissionPieces, Light, PassSettings, RelitStream, check_canceled};
 use pbgi_build::{
@@ -21,7 +22,7 @@ use pbgi_sort::{
     SurfelSummary, estimate_surfels, pieces_in_flight, sort_surfels,
 };
 use pbgi_store::{Octree, OpenOptions};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
@@ -65,11 +66,12 @@ pub fn bake(
         memory_limit_bytes: request.memory_limit,
         ..BakeReport::default()
     };
-    let checkpoint = Checkpoint {
-        path: temporary_path(&request.temp_dir(), &request.output),
-        fingerprint: request.fingerprint(),
-    };
-    let mut baker = Baker { request, memory, progress, cancel, light, z_up, report, checkpoint };
+    let path = temporary_path(&request.temp_dir(), &request.output);
+    let fingerprint = request.fingerprint();
+    let passes = PassFiles { path: path.clone(), fingerprint };
+    let checkpoint = Checkpoint { path, fingerprint };
+    let mut baker =
+        Baker { request, memory, progress, cancel, light, z_up, report, checkpoint, passes };
     baker.remove_leftovers()?;
     let sorted = pool.install(|| baker.sort(&mut inputs))?;
     baker.report.warnings.append(&mut inputs.warnings);
@@ -79,6 +81,7 @@ pub fn bake(
     let sorted = baker.estimate(sorted, lacks_normals)?;
     let build = baker.build(sorted)?;
     baker.checkpoint.remove()?;
+    baker.passes.remove()?;
     Ok(baker.finish(&build, start))
 }
 
@@ -94,8 +97,10 @@ struct Baker<'a> {
     light: Light,
     z_up: bool,
     report: BakeReport,
-    /// What finished phases leave for a run that takes up this one.
+    /// What the sort leaves for a run that takes up this one.
     checkpoint: Checkpoint,
+    /// What passes of light leave for one another, and for such a run.
+    passes: PassFiles,
 }
 
 impl<'a> Baker<'a> {
@@ -150,12 +155,9 @@ impl<'a> Baker<'a> {
 
     /// Says how much room temporary files and output will need, and warns where there is less.
     fn state_disk_space(&mut self, surfels: u64, sort_bytes: u64) {
-        let held = surfels.saturating_mul(size_of::<Surfel>() as u64) <= sort_bytes;
-        let temporary = if held && !self.request.resume {
-            0
-        } else {
-            surfels.saturating_mul(size_of::<Surfel>() as u64)
-        };
+        let sorted = surfels.saturating_mul(size_of::<Surfel>() as u64);
+        let is_held = sorted <= sort_bytes && !self.request.resume;
+        let temporary = if is_held { 0 } else { sorted };
         let output = surfels.saturating_mul(OUTPUT_SURFEL_BYTES);
         let (temp_dir, folder) = (self.request.temp_dir(), folder_of(&self.request.output));
         let free = free_bytes(&temp_dir).zip(free_bytes(folder));
@@ -230,51 +232,74 @@ impl<'a> Baker<'a> {
             }
             return self.build_emission(&mut sorted, &options, &request.output);
         }
-        let temporary = self.temporary_octree();
+        let mut finished = match self.take_up_pass(passes) {
+            Some(finished) => finished,
+            None => self.build_dark(&mut sorted)?,
+        };
+        loop {
+            let (octree, threads) = self.open_temporary(&self.passes.octree(finished.pass))?;
+            sorted.rewind();
+            let pass = finished.pass + 1;
+            let is_last = pass == passes;
+            let (options, target) = if is_last {
+                (self.output_options(), request.output.clone())
+            } else {
+                (self.temporary_options(), self.passes.octree(pass))
+            };
+            let pass_light =
+                PassLight { octree: &octree, threads, source_max: finished.radiance_max, pass };
+            let (build, radiance_max) =
+                self.light_pass(&mut sorted, &pass_light, &options, &target)?;
+            if is_last {
+                return Ok(build);
+            }
+            finished = FinishedPass { pass, radiance_max };
+            self.keep_pass(finished)?;
+        }
+    }
+
+    /// Builds the octree that the first pass of light gathers from.
+    fn build_dark(&mut self, sorted: &mut SortedSurfels) -> Result<FinishedPass, PbgiError> {
         // What the environment's pass needs is only what blocks.
         let has_environment = self.light.has_environment();
         let channels =
             if has_environment { ChannelChoice::Occlusion } else { ChannelChoice::AsNeeded };
         let options = BuildOptions { channels, ..self.temporary_options() };
-        self.build_emission(&mut sorted, &options, &temporary)?;
-        let mut source_max = if has_environment { 0.0 } else { summary.radiance_max };
-        let mut pass = 1;
-        loop {
-            let (octree, threads) = self.open_temporary(&temporary)?;
-            sorted.rewind();
-            let is_last = pass == passes;
-            let (options, target) = if is_last {
-                (self.output_options(), request.output.as_path())
-            } else {
-                (self.temporary_options(), temporary.as_path())
-            };
-            let pass_light = PassLight { octree: &octree, threads, source_max, pass };
-            let (build, reached) = self.light_pass(&mut sorted, &pass_light, &options, target)?;
-            if is_last {
-                return Ok(build);
-            }
-            (source_max, pass) = (reached, pass + 1);
-        }
+        let emitted = sorted.summary().radiance_max;
+        self.build_emission(sorted, &options, &self.passes.octree(0))?;
+        let finished =
+            FinishedPass { pass: 0, radiance_max: if has_environment { 0.0 } else { emitted } };
+        self.keep_pass(finished)?;
+        Ok(finished)
+    }
+
+    /// The pass to go on from, if an earlier run has kept one of the `passes`.
+    fn take_up_pass(&self, passes: u32) -> Option<FinishedPass> {
+        let kept = self.request.resume.then(|| self.passes.load()).flatten();
+        let kept = kept.filter(|kept| kept.pass < passes)?;
+        self.progress.note(&format!(
+            "going on after pass {} of {passes} of light, which an earlier run has finished (--resume)",
+            kept.pass
+        ));
+        Some(kept)
+    }
+
+    /// Lets a finished pass outlive this run, if asked to.
+    fn keep_pass(&self, finished: FinishedPass) -> Result<(), PbgiError> {
+        if self.request.resume { self.passes.save(finished) } else { Ok(()) }
     }
 
     /// Removes what a killed run has left and this one does not take up.
     fn remove_leftovers(&self) -> Result<(), PbgiError> {
         if !self.request.resume {
             self.checkpoint.remove()?;
+            self.passes.remove()?;
         }
-        let path = self.temporary_octree();
-        remove_unfinished(&path).map_err(|e| PbgiError::output(&path, "remove", e))?;
-        match std::fs::remove_file(&path) {
-            Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
-                Err(PbgiError::output(&path, "remove", e))
-            }
-            _ => Ok(()),
+        for pass in 0..2 {
+            let path = self.passes.octree(pass);
+            remove_unfinished(&path).map_err(|e| PbgiError::output(&path, "remove", e))?;
         }
-    }
-
-    /// The octree of the pass before, which has a name only until it is open.
-    fn temporary_octree(&self) -> PathBuf {
-        self.checkpoint.path.with_added_extension("pass.pbgi")
+        Ok(())
     }
 
     /// Passes of light; 0 where they would change nothing.
@@ -348,7 +373,7 @@ impl<'a> Baker<'a> {
     }
 
     /// Opens the octree of the pass before and takes its name away, so that nothing stays behind
-    /// however this run ends. Returns the number of threads its cache serves, too.
+    /// however this run ends, unless it is to be kept. Returns the number of threads its cache serves, too.
     fn open_temporary(&self, path: &Path) -> Result<(Octree, usize), PbgiError> {
         let (cache_bytes, readers) = self.memory.cache();
         self.progress.detail(&format!(
@@ -357,7 +382,9 @@ impl<'a> Baker<'a> {
         ));
         let options = OpenOptions { cache_bytes, readers, ..OpenOptions::default() };
         let octree = Octree::open(path, &options);
-        std::fs::remove_file(path).map_err(|e| PbgiError::output(path, "remove", e))?;
+        if !self.request.resume {
+            std::fs::remove_file(path).map_err(|e| PbgiError::output(path, "remove", e))?;
+        }
         Ok((octree?, readers))
     }
 
@@ -367,10 +394,7 @@ impl<'a> Baker<'a> {
             leaf_surfels_max: self.request.leaf_surfels_max,
             compress: self.request.compress,
             albedo: !self.request.occlusion_only,
-            threads: self.memory.threads,
-            pieces_in_flight: pieces_in_flight(self.memory.threads),
-            cancel: self.cancel,
-            ..BuildOptions::default()
+            ..self.temporary_options()
         }
     }
 

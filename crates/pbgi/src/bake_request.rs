@@ -3,13 +3,14 @@
 use crate::input::Sampling;
 use crate::output_path::{check_output, folder_of};
 use crate::relight::LightRequest;
+use crate::shade::LightSource;
 use crate::{PbgiError, cli};
 use pbgi_build::{BuildOptions, PAGE_BYTES_RANGE};
 use pbgi_cloud::CloudOptions;
 use pbgi_light::UpAxis;
 use pbgi_scene::TwoSided;
 use std::hash::{DefaultHasher, Hash, Hasher};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// What to do where a cloud has no normals.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -42,7 +43,8 @@ pub struct BakeRequest {
     pub normals: NormalsChoice,
     /// Light to store.
     pub light: LightRequest,
-    /// Keep what finished phases made until the bake is complete, and go on with what an earlier run has kept.
+    /// Keep the sorted surfels and the octree of the last pass of light until the bake is complete, and go on with what an earlier run has
+    /// kept. Estimated sizes and normals are estimated again.
     pub resume: bool,
     /// Folder for temporary files; that of the output where not given.
     pub temp_dir: Option<PathBuf>,
@@ -132,14 +134,18 @@ impl BakeRequest {
         check_output(&self.output, self.force, &self.inputs)
     }
 
-    /// Tells requests apart whose phases give different results: by inputs, their sizes and times, and by all that shapes the
-    /// surfels and their light.
+    /// Tells requests apart whose phases give different results: by inputs and environment, their sizes and times, and by all that shapes
+    /// the surfels and their light.
     pub(crate) fn fingerprint(&self) -> u64 {
         let mut hasher = DefaultHasher::new();
         env!("CARGO_PKG_VERSION").hash(&mut hasher);
-        for input in &self.inputs {
-            let facts = std::fs::metadata(input).ok().map(|m| (m.len(), m.modified().ok()));
-            (std::fs::canonicalize(input).ok(), input, facts).hash(&mut hasher);
+        let sky = self.light.environment.as_ref().and_then(|spec| match &spec.source {
+            LightSource::File(path) => Some(path.as_path()),
+            LightSource::Uniform(_) => None,
+        });
+        for path in self.inputs.iter().map(Path::new).chain(sky) {
+            let facts = std::fs::metadata(path).ok().map(|m| (m.len(), m.modified().ok()));
+            (std::fs::canonicalize(path).ok(), path, facts).hash(&mut hasher);
         }
         let Self { sampling, two_sided, cloud, up, normals, light, .. } = self;
         format!("{sampling:?} {two_sided:?} {cloud:?} {up:?} {normals:?} {light:?}")

@@ -39,17 +39,27 @@ impl Ord for Sampled {
 #[derive(Debug, Default)]
 pub(crate) struct CheckSample {
     wanted: usize,
+    /// Receivers offered so far.
+    pub offered: u64,
     kept: BinaryHeap<Sampled>,
 }
 
 impl CheckSample {
     /// A sample of at most `wanted` receivers.
     pub fn new(wanted: usize) -> Self {
-        Self { wanted, kept: BinaryHeap::with_capacity(wanted.min(1 << 20) + 1) }
+        Self { wanted, offered: 0, kept: BinaryHeap::with_capacity(wanted.min(1 << 20) + 1) }
     }
 
-    /// Offers a receiver; `index` counts all receivers offered in the order of the result.
-    pub fn offer(&mut self, index: u64, receiver: &Receiver, shading: &Shading) {
+    /// Offers receivers with their results. `ids` tell them apart whatever the order they come in; without them, that order counts.
+    pub fn offer_all(&mut self, receivers: &[Receiver], ids: Option<&[u64]>, shadings: &[Shading]) {
+        for (offset, (receiver, shading)) in receivers.iter().zip(shadings).enumerate() {
+            let id = ids.map_or(self.offered + offset as u64, |ids| ids[offset]);
+            self.offer(id, receiver, shading);
+        }
+        self.offered += receivers.len() as u64;
+    }
+
+    fn offer(&mut self, index: u64, receiver: &Receiver, shading: &Shading) {
         if self.wanted == 0 {
             return;
         }

@@ -6,13 +6,14 @@ use crate::gbuffer_surfaces::{GBuffer, GBufferSpace};
 use crate::memory_split::MemorySplit;
 use crate::output::{channel_count, settings_attributes};
 use crate::shade::{CHUNK_RECEIVERS, Session, ShadeSettings, read_header, up_axis};
-use crate::table_receivers::TableReceivers;
+use crate::table_receivers::{RowRules, TableReceivers};
 use crate::target::spread;
 use crate::{PbgiError, Progress};
 use pbgi_format::Header;
 use pbgi_image::{Aov, AovNames, AttributeValue, Image, LAYOUT_ATTRIBUTES, StoredChannel};
 use pbgi_math::DVec3;
-use pbgi_schedule::{Receiver, Shading};
+use pbgi_schedule::{CHUNKS_IN_FLIGHT, RECEIVER_BYTES_IN_FLIGHT, Receiver, Shading};
+use std::borrow::Cow;
 use std::f32::consts::FRAC_1_PI;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
@@ -89,14 +90,14 @@ pub fn shade_gbuffer(
     let split =
         MemorySplit::measure(settings.memory_bytes, settings.threads).grant(bytes, bytes)?;
     let mut session = Session::open(request.octree, settings, environment, split, 0, cancel)?;
-    let has_gloss = settings.gloss.is_some();
-    let rows = TableReceivers::new(&gbuffer.surfaces, header.origin, None, has_gloss)?;
+    let rules = RowRules { origin: header.origin, eye: None, gloss: settings.gloss };
+    let rows = TableReceivers::new(&gbuffer.surfaces, 0, &rules)?;
     let extra =
         u32::from(settings.check_receivers > 0) + u32::from(settings.target_error.is_some());
     progress.set_phase_count(1 + extra);
     if session.wants_calibration() {
         let sample: Vec<Receiver> =
-            spread(gbuffer.surfaces.len()).map(|row| rows.receiver(&session, row)).collect();
+            spread(gbuffer.surfaces.len()).map(|row| rows.receiver(row)).collect();
         session.calibrate(&sample, progress)?;
     }
     let image = shade_pixels(&mut session, &gbuffer, &rows, request, progress)?;
@@ -141,7 +142,7 @@ fn find_eye(request: &GBufferRequest<'_>, header: &Header) -> Result<Option<DVec
 /// Bytes of the result and of what making it takes beside the G-buffer.
 fn result_bytes(gbuffer: &GBuffer, aovs: &[Aov]) -> u64 {
     let pixels = (gbuffer.width * gbuffer.height) as u64;
-    let per_chunk = CHUNK_RECEIVERS * (size_of::<Receiver>() + size_of::<Shading>());
+    let per_chunk = CHUNK_RECEIVERS * CHUNKS_IN_FLIGHT * RECEIVER_BYTES_IN_FLIGHT;
     pixels * (4 * channel_count(aovs) as u64 + 12 + 4 + 1) + per_chunk as u64
 }
 
@@ -157,17 +158,24 @@ fn shade_pixels(
     let mut image = PixelImage::new(gbuffer, request);
     let albedos = ["albedo_r", "albedo_g", "albedo_b"].map(|name| surfaces.column(name));
     let phase = progress.start_phase("shade", "receivers", Some(surfaces.len() as u64));
-    for first in (0..surfaces.len()).step_by(CHUNK_RECEIVERS) {
-        let chunk = first..(first + CHUNK_RECEIVERS).min(surfaces.len());
-        let receivers: Vec<Receiver> = chunk.clone().map(|i| rows.receiver(session, i)).collect();
-        let shadings =
-            session.shade(&receivers, None, &|done| phase.set_done(first as u64 + done))?;
-        for (index, shading) in chunk.zip(&shadings) {
-            let albedo = albedos.map(|albedo| albedo.map_or(1.0, |albedo| albedo[index]));
-            let pixel = gbuffer.pixels[index] as usize;
-            image.set(pixel, gbuffer.alphas[index], albedo, shading);
-        }
-    }
+    session.stream(
+        &|done| phase.set_done(done),
+        |feed| {
+            (0..surfaces.len()).step_by(CHUNK_RECEIVERS).try_for_each(|first| {
+                let chunk = first..(first + CHUNK_RECEIVERS).min(surfaces.len());
+                let receivers = chunk.clone().map(|i| rows.receiver(i)).collect();
+                feed.push(Cow::Owned(receivers), chunk)
+            })
+        },
+        |chunk| {
+            for (index, shading) in chunk.attached.zip(&chunk.shadings) {
+                let albedo = albedos.map(|albedo| albedo.map_or(1.0, |albedo| albedo[index]));
+                let pixel = gbuffer.pixels[index] as usize;
+                image.set(pixel, gbuffer.alphas[index], albedo, shading);
+            }
+            Ok(())
+        },
+    )?;
     Ok(image)
 }
 

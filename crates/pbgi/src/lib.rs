@@ -29,11 +29,16 @@ mod memory;
 mod memory_split;
 mod output;
 mod output_path;
+mod pass_files;
+mod point_results;
+mod point_rows;
 mod points;
 mod progress;
 mod relight;
 mod scan;
+mod scatter;
 mod shade;
+mod shade_statistics;
 mod share;
 mod splat;
 mod table_receivers;
@@ -65,10 +70,9 @@ pub use points::{PointSource, PointsRequest, shade_points};
 pub use progress::{Phase, Progress, ProgressMode, Verbosity};
 pub use relight::{BOUNCES_MAX, LightRequest};
 pub use shade::{
-    CacheReport, EnvironmentSpec, GlossSettings, LightSource, ShadeReport, ShadeSettings,
-    StoreSettings,
+    EnvironmentSpec, GlossSettings, LightSource, ShadeReport, ShadeSettings, StoreSettings,
 };
-
+pub use shade_statistics::{CacheReport, CutReport, LevelReport};
 pub use target::TargetReport;
 
 /// The example of the README, which must compile.

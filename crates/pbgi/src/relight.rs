@@ -250,6 +250,7 @@ impl<'a> RelitStream<'a> {
             threads: self.pass.threads,
             cancel: self.pass.cancel,
             progress: &|done| self.pass.phase.set_done(self.done + surfels(done)),
+            ..ShadeOptions::default()
         };
         Ok(shade_receivers(octree, light.environment.as_ref(), &receivers, &options)?.0)
     }

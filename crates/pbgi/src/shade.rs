@@ -5,25 +5,41 @@ use crate::PbgiError;
 use crate::check::{AloneReport, CheckReport, CheckSample};
 use crate::memory_split::MemorySplit;
 use crate::progress::{Progress, format_bytes, format_count, format_seconds};
+use crate::shade_statistics::{CacheReport, CutReport, LevelReport};
 use crate::target::{Calibration, TargetReport};
-use pbgi_cut::CutStats;
 use pbgi_format::{Channels, Header};
 use pbgi_image::read_environment;
 use pbgi_light::{Environment, EnvironmentOptions, UpAxis};
 use pbgi_math::Vec3;
 use pbgi_schedule::{
-    GatherParts, GatherSettings, Gloss, ImportanceTerms, Material, PreparedLight, Receiver,
-    ShadeOptions, Shading, shade_receivers,
+    CHUNKS_IN_FLIGHT, Feed, GatherParts, GatherSettings, Gloss, ImportanceTerms, Material,
+    PreparedLight, RECEIVER_BYTES_IN_FLIGHT, Receiver, ShadeOptions, ShadeReport as ScheduleReport,
+    Shaded, Shading, shade_receivers, shade_stream,
 };
-use pbgi_store::{Backend, CacheStats, Octree, OpenOptions};
+use pbgi_store::{Backend, Octree, OpenOptions};
 use serde::Serialize;
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
-/// Receivers handed to the workers at once; what a batch needs beyond its results stays small.
+/// Receivers handed to the workers at once, at most.
 pub(crate) const CHUNK_RECEIVERS: usize = 1 << 16;
+/// Receivers handed to the workers at once, at least: two batches for each of many workers.
+const CHUNK_RECEIVERS_MIN: usize = 1 << 12;
+/// Share of the memory limit that chunks under way may take.
+const CHUNKS_SHARE: u64 = 16;
+
+/// Receivers of a chunk within a memory limit, where each has `attached_bytes` beside it, and the bytes of all chunks under way.
+pub(crate) fn chunk_size(memory_bytes: u64, attached_bytes: usize) -> (usize, u64) {
+    // What is read into the next chunk and written from the last is held besides those in flight.
+    let each = (CHUNKS_IN_FLIGHT * RECEIVER_BYTES_IN_FLIGHT
+        + (CHUNKS_IN_FLIGHT + 2) * attached_bytes) as u64;
+    let fitting = usize::try_from(memory_bytes / CHUNKS_SHARE / each).unwrap_or(CHUNK_RECEIVERS);
+    let receivers = fitting.clamp(CHUNK_RECEIVERS_MIN, CHUNK_RECEIVERS);
+    (receivers, receivers as u64 * each)
+}
 
 /// Where distant light comes from.
 #[derive(Clone, Debug, PartialEq)]
@@ -264,9 +280,7 @@ pub(crate) struct Session<'a> {
     target: Option<TargetReport>,
     /// Whether receivers share gathers, so that the check tells what sharing costs.
     pub shares: bool,
-    cut: CutStats,
-    receivers: u64,
-    seconds: f64,
+    done: ScheduleReport,
     memory: MemorySplit,
     /// What the user should know of, one sentence each.
     pub warnings: Vec<String>,
@@ -321,9 +335,7 @@ impl<'a> Session<'a> {
             trace: settings.io.trace.clone(),
             target: None,
             shares: false,
-            cut: CutStats::default(),
-            receivers: 0,
-            seconds: 0.0,
+            done: ScheduleReport::default(),
             memory,
             warnings,
         })
@@ -336,9 +348,7 @@ impl<'a> Session<'a> {
 
     /// What a receiver at `position` reflects toward `eye`, if anything reflects glossily; both in the same coordinates.
     pub fn gloss(&self, material: Material, position: Vec3, eye: Vec3) -> Option<Gloss> {
-        let material = self.gloss?.apply(material);
-        let toward_eye = (eye - position).try_normalize()?;
-        Some(Gloss { material, toward_eye })
+        gloss_toward(self.gloss, material, position, eye)
     }
 
     /// The direction of the sky.
@@ -387,11 +397,7 @@ impl<'a> Session<'a> {
 
     /// Counts receivers as shaded and offers them to the check. `ids` as for [`Self::shade`].
     pub fn count(&mut self, receivers: &[Receiver], ids: Option<&[u64]>, shadings: &[Shading]) {
-        for (offset, (receiver, shading)) in receivers.iter().zip(shadings).enumerate() {
-            let id = ids.map_or(self.receivers + offset as u64, |ids| ids[offset]);
-            self.sample.offer(id, receiver, shading);
-        }
-        self.receivers += receivers.len() as u64;
+        self.sample.offer_all(receivers, ids, shadings);
     }
 
     /// Gathers some of the light for `receivers`, not counting them as shaded.
@@ -401,27 +407,61 @@ impl<'a> Session<'a> {
         parts: GatherParts,
         advance: &(dyn Fn(u64) + Sync),
     ) -> Result<Vec<Shading>, PbgiError> {
+        let options = self.options(parts, advance);
         let mut shadings = Vec::with_capacity(receivers.len());
-        for (number, chunk) in receivers.chunks(CHUNK_RECEIVERS).enumerate() {
-            let before = (number * CHUNK_RECEIVERS) as u64;
-            let options = ShadeOptions {
-                gather: GatherSettings { parts, ..self.gather },
-                threads: self.threads,
-                cancel: self.cancel,
-                progress: &|done| advance(before + done),
-            };
-            let (part, report) =
-                shade_receivers(&self.octree, self.light.as_ref(), chunk, &options)?;
-            self.cut.add(&report.cut);
-            self.seconds += report.seconds;
-            shadings.extend(part);
-        }
+        let report = shade_stream(
+            &self.octree,
+            self.light.as_ref(),
+            &options,
+            |feed: &mut Feed<'_, '_, (), PbgiError>| {
+                let mut chunks = receivers.chunks(CHUNK_RECEIVERS);
+                chunks.try_for_each(|chunk| feed.push(Cow::Borrowed(chunk), ()))
+            },
+            |chunk| {
+                shadings.extend(chunk.shadings);
+                Ok(())
+            },
+        )?;
+        self.done.add(&report);
         Ok(shadings)
+    }
+
+    /// Shades receivers chunk by chunk as `fill` pushes them and hands them to `take` with their results, in the order of pushing, which
+    /// also tells them apart. `advance` is told how many are done.
+    pub fn stream<T>(
+        &mut self,
+        advance: &(dyn Fn(u64) + Sync),
+        fill: impl FnOnce(&mut Feed<'_, 'static, T, PbgiError>) -> Result<(), PbgiError>,
+        mut take: impl FnMut(Shaded<'_, T>) -> Result<(), PbgiError>,
+    ) -> Result<(), PbgiError> {
+        let options = self.options(GatherParts::All, advance);
+        let Self { octree, light, sample, done, .. } = self;
+        let report =
+            shade_stream(octree, light.as_ref(), &options, fill, |chunk: Shaded<'_, T>| {
+                sample.offer_all(chunk.receivers, None, &chunk.shadings);
+                take(chunk)
+            })?;
+        done.add(&report);
+        Ok(())
+    }
+
+    fn options<'o>(
+        &self,
+        parts: GatherParts,
+        progress: &'o (dyn Fn(u64) + Sync),
+    ) -> ShadeOptions<'o>
+    where
+        'a: 'o,
+    {
+        let gather = GatherSettings { parts, ..self.gather };
+        let (threads, cancel) = (self.threads, self.cancel);
+        ShadeOptions { gather, threads, cancel, progress, ..ShadeOptions::default() }
     }
 
     /// Measures the error, if asked to, and closes the file.
     pub fn finish(mut self, progress: &Progress) -> Result<ShadeReport, PbgiError> {
-        let cache = CacheReport::new(&self.octree.stats());
+        let cache = CacheReport::new(&self.octree.stats(), self.octree.pages().len() as u64);
+        let receivers = self.sample.offered;
         let sample = std::mem::take(&mut self.sample).into_sorted();
         let check = if sample.is_empty() { None } else { self.check(&sample, progress)? };
         if let Some(trace) = &self.trace {
@@ -429,13 +469,16 @@ impl<'a> Session<'a> {
             written.map_err(|source| PbgiError::output(trace, "write", source))?;
         }
         let damaged_pages = self.damaged_pages();
-        let mean = |sum: u64| sum as f64 / self.receivers.max(1) as f64;
+        let mean = |sum: u64| sum as f64 / receivers.max(1) as f64;
+        let ScheduleReport { cut, seconds, .. } = self.done;
         Ok(ShadeReport {
-            receivers: self.receivers,
-            shade_seconds: self.seconds,
-            receivers_per_second: self.receivers as f64 / self.seconds.max(1e-9),
-            cut_mean: mean(self.cut.cut_size()),
-            nodes_visited_mean: mean(self.cut.nodes_visited),
+            receivers,
+            shade_seconds: seconds,
+            receivers_per_second: receivers as f64 / seconds.max(1e-9),
+            cut_mean: mean(cut.cut_size()),
+            nodes_visited_mean: mean(cut.nodes_visited),
+            cuts: CutReport::new(&self.done),
+            levels: LevelReport::all(&cut.levels),
             cache,
             memory: self.memory,
             memory_peak_bytes: crate::memory::peak_resident_bytes(),
@@ -482,6 +525,7 @@ impl<'a> Session<'a> {
             threads: self.threads,
             cancel: self.cancel,
             progress: &|done| phase.set_done(done),
+            ..ShadeOptions::default()
         };
         let light = self.light.as_ref();
         let (references, _) = shade_receivers(&self.octree, light, &receivers, &options)?;
@@ -490,7 +534,8 @@ impl<'a> Session<'a> {
         let mut alone = None;
         if self.shares {
             let (threads, cancel) = (self.threads, self.cancel);
-            let options = ShadeOptions { gather: self.gather, threads, cancel, progress: &|_| () };
+            let gather = self.gather;
+            let options = ShadeOptions { gather, threads, cancel, ..ShadeOptions::default() };
             let (own, _) = shade_receivers(&self.octree, light, &receivers, &options)?;
             alone = AloneReport::new(&own, &references).ok();
         }
@@ -516,58 +561,16 @@ pub(crate) fn list_pages(pages: &[u32]) -> String {
     shown.join(", ") + &more
 }
 
-/// What the page cache did.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct CacheReport {
-    /// Pages asked for.
-    pub requests: u64,
-    /// Share of requests that did not read the file.
-    pub hit_rate: f64,
-    /// Requests answered without reading the file.
-    pub hits: u64,
-    /// Pages read: requests that no page in memory answered.
-    pub pages_read: u64,
-    /// Bytes read.
-    pub bytes_read: u64,
-    /// Different pages read.
-    pub distinct_pages: u64,
-    /// Bytes of distinct pages read.
-    pub distinct_bytes: u64,
-    /// Bytes read ÷ bytes of distinct pages.
-    pub read_amplification: f64,
-    /// Pages dropped to make room.
-    pub evictions: u64,
-    /// Pages read again after they were dropped.
-    pub rereads: u64,
-    /// Requests that waited for another worker to read the page.
-    pub waits: u64,
-    /// Seconds workers waited for pages, whoever read them, summed over workers.
-    pub wait_seconds: f64,
-    /// Seconds of those spent reading, checking and decoding.
-    pub read_seconds: f64,
-    /// Most bytes of pages held at once.
-    pub held_bytes_max: u64,
-}
-
-impl CacheReport {
-    fn new(stats: &CacheStats) -> Self {
-        Self {
-            requests: stats.requests,
-            hit_rate: stats.hit_rate(),
-            hits: stats.hits,
-            pages_read: stats.pages_read,
-            bytes_read: stats.bytes_read,
-            distinct_pages: stats.distinct_pages,
-            distinct_bytes: stats.distinct_bytes,
-            read_amplification: stats.read_amplification(),
-            evictions: stats.evictions,
-            rereads: stats.rereads,
-            waits: stats.waits,
-            wait_seconds: stats.wait_ns as f64 * 1e-9,
-            read_seconds: stats.read_ns as f64 * 1e-9,
-            held_bytes_max: stats.held_bytes_max,
-        }
-    }
+/// What a receiver at `position` reflects toward `eye`, if anything reflects glossily; both in the same coordinates.
+pub(crate) fn gloss_toward(
+    gloss: Option<GlossSettings>,
+    material: Material,
+    position: Vec3,
+    eye: Vec3,
+) -> Option<Gloss> {
+    let material = gloss?.apply(material);
+    let toward_eye = (eye - position).try_normalize()?;
+    Some(Gloss { material, toward_eye })
 }
 
 /// What a shading run did.
@@ -583,6 +586,10 @@ pub struct ShadeReport {
     pub cut_mean: f64,
     /// Mean nodes whose bounds were tested.
     pub nodes_visited_mean: f64,
+    /// Batches and their cuts.
+    pub cuts: CutReport,
+    /// Requests for pages by level of the tree, from the root's on.
+    pub levels: Vec<LevelReport>,
     /// The page cache while shading.
     pub cache: CacheReport,
     /// How the memory limit was divided.
@@ -616,6 +623,13 @@ pub struct ShadeReport {
 }
 
 impl ShadeReport {
+    /// Statistics of cuts, levels and page cache as rows of a table: label and value.
+    #[must_use]
+    pub fn statistics(&self) -> Vec<(String, String)> {
+        let levels = self.levels.iter().map(LevelReport::row);
+        self.cuts.rows().into_iter().chain(self.cache.rows()).chain(levels).collect()
+    }
+
     /// The report as rows of a table: label and value.
     #[must_use]
     pub fn rows(&self) -> Vec<(&'static str, String)> {

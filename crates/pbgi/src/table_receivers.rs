@@ -1,7 +1,7 @@
 //! Rows of a table as receivers, with what they reflect.
 
 use crate::PbgiError;
-use crate::shade::Session;
+use crate::shade::{GlossSettings, gloss_toward};
 use pbgi_cloud::ReceiverTable;
 use pbgi_math::{DVec3, Vec3};
 use pbgi_schedule::{Material, Receiver};
@@ -19,9 +19,21 @@ const MATERIAL_COLUMNS: [&[&str]; 6] = [
 /// Columns of the unit direction to the eye.
 const VIEW_COLUMNS: [&str; 3] = ["view_x", "view_y", "view_z"];
 
+/// What all rows of a file of receivers have in common.
+#[derive(Clone, Copy)]
+pub(crate) struct RowRules {
+    /// The octree's origin.
+    pub origin: DVec3,
+    /// Where the eye is, in the world.
+    pub eye: Option<DVec3>,
+    /// Glossy reflections, if any.
+    pub gloss: Option<GlossSettings>,
+}
+
 /// The rows of a table.
 pub(crate) struct TableReceivers<'a> {
     table: &'a ReceiverTable,
+    gloss: Option<GlossSettings>,
     /// From the table's origin to the octree's.
     shift: DVec3,
     materials: [Option<&'a [f32]>; 6],
@@ -31,17 +43,13 @@ pub(crate) struct TableReceivers<'a> {
 }
 
 impl<'a> TableReceivers<'a> {
-    /// Rows for an octree with this origin. The eye is `eye`, in the world, or else where the columns `view_x view_y view_z` lead.
+    /// The rows of a table, whose first is the `first`th of its file. The eye is that of `rules`, or else where the columns `view_x view_y
+    /// view_z` lead.
     ///
     /// # Errors
     ///
-    /// [`PbgiError::Usage`] where `has_gloss` and neither tells where the eye is, or a number of a material is not in 0..=1.
-    pub fn new(
-        table: &'a ReceiverTable,
-        origin: DVec3,
-        eye: Option<DVec3>,
-        has_gloss: bool,
-    ) -> Result<Self, PbgiError> {
+    /// [`PbgiError::Usage`] where there is gloss and neither tells where the eye is, or a number of a material is not in 0..=1.
+    pub fn new(table: &'a ReceiverTable, first: u64, rules: &RowRules) -> Result<Self, PbgiError> {
         let [x, y, z] = VIEW_COLUMNS.map(|name| table.column(name));
         let views = match (x, y, z) {
             (Some(x), Some(y), Some(z)) => Some([x, y, z]),
@@ -49,15 +57,16 @@ impl<'a> TableReceivers<'a> {
         };
         let materials =
             MATERIAL_COLUMNS.map(|names| names.iter().find_map(|name| table.column(name)));
+        let RowRules { origin, eye, gloss } = *rules;
         let eye = eye.map(|eye| (eye - origin).as_vec3());
-        let rows = Self { table, shift: table.origin - origin, materials, views, eye };
-        if has_gloss {
-            rows.check()?;
+        let rows = Self { table, gloss, shift: table.origin - origin, materials, views, eye };
+        if gloss.is_some() {
+            rows.check(first)?;
         }
         Ok(rows)
     }
 
-    fn check(&self) -> Result<(), PbgiError> {
+    fn check(&self, first: u64) -> Result<(), PbgiError> {
         if self.views.is_none() && self.eye.is_none() {
             return Err(no_eye());
         }
@@ -66,8 +75,9 @@ impl<'a> TableReceivers<'a> {
         };
         let Material { roughness, metalness, specular, base_color: [r, g, b] } = self.material(row);
         Err(PbgiError::usage(format!(
-            "row {row} of the receivers has roughness {roughness}, metalness {metalness}, specular {specular} and base color \
-             ({r}, {g}, {b}); expected numbers from 0 to 1"
+            "row {} of the receivers has roughness {roughness}, metalness {metalness}, specular {specular} and base color \
+             ({r}, {g}, {b}); expected numbers from 0 to 1",
+            first + row as u64
         )))
     }
 
@@ -85,14 +95,14 @@ impl<'a> TableReceivers<'a> {
     }
 
     /// The receiver of a row.
-    pub fn receiver(&self, session: &Session<'_>, row: usize) -> Receiver {
+    pub fn receiver(&self, row: usize) -> Receiver {
         let position = (self.table.positions[row].as_dvec3() + self.shift).as_vec3();
         let eye = match (self.eye, self.views) {
             (Some(eye), _) => eye,
             (None, Some(views)) => position + Vec3::from_array(views.map(|view| view[row])),
             (None, None) => position,
         };
-        let gloss = session.gloss(self.material(row), position, eye);
+        let gloss = gloss_toward(self.gloss, self.material(row), position, eye);
         Receiver { gloss, ..Receiver::diffuse(position, self.table.normals[row]) }
     }
 }
@@ -122,10 +132,14 @@ mod tests {
         }
     }
 
+    fn rules(eye: Option<DVec3>) -> RowRules {
+        RowRules { origin: DVec3::ZERO, eye, gloss: Some(GlossSettings::default()) }
+    }
+
     #[test]
     fn materials_come_from_columns() {
         let table = table(&[("metallic", 0.25), ("roughness", 0.5), ("albedo_g", 0.125)]);
-        let rows = TableReceivers::new(&table, DVec3::ZERO, Some(DVec3::Y), true).unwrap();
+        let rows = TableReceivers::new(&table, 0, &rules(Some(DVec3::Y))).unwrap();
         let own = Material::default();
         let expected = Material {
             roughness: 0.5,
@@ -140,11 +154,12 @@ mod tests {
     fn gloss_needs_an_eye_and_numbers_in_their_range() {
         let error = |columns: &[(&str, f32)], eye: Option<DVec3>| {
             let table = table(columns);
-            TableReceivers::new(&table, DVec3::ZERO, eye, true).err().map(|e| e.to_string())
+            TableReceivers::new(&table, 40, &rules(eye)).err().map(|e| e.to_string())
         };
         assert!(error(&[], None).unwrap().contains("--eye"));
         assert_eq!(error(&[("view_x", 0.0), ("view_y", 1.0), ("view_z", 0.0)], None), None);
-        assert!(error(&[("roughness", 1.5)], Some(DVec3::Y)).unwrap().contains("row 0"));
-        assert!(TableReceivers::new(&table(&[]), DVec3::ZERO, None, false).is_ok());
+        assert!(error(&[("roughness", 1.5)], Some(DVec3::Y)).unwrap().contains("row 40"));
+        let plain = RowRules { gloss: None, ..rules(None) };
+        assert!(TableReceivers::new(&table(&[]), 0, &plain).is_ok());
     }
 }

@@ -58,6 +58,7 @@ impl Calibration<'_> {
                 threads: self.threads,
                 cancel: self.cancel,
                 progress,
+                ..ShadeOptions::default()
             };
             shade_receivers(self.octree, self.light, receivers, &options).map(|(found, _)| found)
         };

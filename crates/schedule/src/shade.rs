@@ -1,15 +1,33 @@
-//! Batches of neighboring receivers, shared out to workers; results in the receivers' order.
+//! Receivers as a stream: chunks come in, neighbors go to workers in batches, results come out in the order of the receivers.
 
 use crate::gather::{GatherSettings, Gatherer};
 use crate::light::PreparedLight;
+use crate::queue::{Chunk, Queue, StopOnDrop};
 use crate::receiver::{Receiver, Shading};
+use crate::spread::Spread;
 use pbgi_cut::CutStats;
 use pbgi_math::{Aabb, RootCube};
 use pbgi_store::{Octree, StoreError};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::borrow::Cow;
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Receivers of a batch: neighbors along the Morton curve, shaded by one worker.
-const BATCH_RECEIVERS: usize = 64;
+/// Chunks that are shaded or wait to be taken at the same time; while one is written, workers have the other.
+pub const CHUNKS_IN_FLIGHT: usize = 2;
+
+/// Bytes held per receiver of a chunk in flight, besides what the caller attaches to it.
+pub const RECEIVER_BYTES_IN_FLIGHT: usize =
+    size_of::<Receiver>() + size_of::<Shading>() + size_of::<(u64, u32)>() + size_of::<u32>();
+
+/// In which order the receivers of a chunk are shaded; never changes their results.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ReceiverOrder {
+    /// Along the Morton curve, so that neighbors share pages.
+    #[default]
+    Morton,
+    /// As they come, to measure other orders.
+    AsGiven,
+}
 
 /// How to shade.
 #[derive(Clone, Copy)]
@@ -18,6 +36,11 @@ pub struct ShadeOptions<'a> {
     pub gather: GatherSettings,
     /// Worker threads, at least 1.
     pub threads: usize,
+    /// Order within a chunk.
+    pub order: ReceiverOrder,
+    /// Whether one more thread, with a reader of its own, gathers for a receiver of each batch ahead of the workers, so that its pages are
+    /// there when they come.
+    pub prefetch: bool,
     /// Set from outside to stop.
     pub cancel: &'a AtomicBool,
     /// Told the number of receivers done, now and then, from any worker.
@@ -28,7 +51,14 @@ static NEVER: AtomicBool = AtomicBool::new(false);
 
 impl Default for ShadeOptions<'_> {
     fn default() -> Self {
-        Self { gather: GatherSettings::default(), threads: 1, cancel: &NEVER, progress: &|_| {} }
+        Self {
+            gather: GatherSettings::default(),
+            threads: 1,
+            order: ReceiverOrder::Morton,
+            prefetch: false,
+            cancel: &NEVER,
+            progress: &|_| {},
+        }
     }
 }
 
@@ -44,8 +74,8 @@ pub enum ScheduleError {
         "receiver {index} has position {position} and normal {normal}; expected finite numbers and a normal of unit length"
     )]
     BadReceiver {
-        /// Its index.
-        index: usize,
+        /// Its index among all receivers.
+        index: u64,
         /// Its position.
         position: String,
         /// Its normal.
@@ -56,20 +86,200 @@ pub enum ScheduleError {
     Cancelled,
 }
 
-/// What shading did.
+/// What shading did. Only seconds depend on threads and chance.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ShadeReport {
     /// Receivers shaded.
     pub receivers: u64,
+    /// Batches they were divided into.
+    pub batches: u64,
     /// Sums over their cuts.
     pub cut: CutStats,
+    /// Entries of the cuts.
+    pub cut_sizes: Spread,
     /// Seconds of wall time.
     pub seconds: f64,
+    /// Seconds workers waited for receivers, summed over workers.
+    pub idle_seconds: f64,
 }
 
-/// Shades receivers in batches of Morton neighbors and returns their results in the order given.
+impl ShadeReport {
+    /// Seconds workers spent in the shared cache, reading pages or waiting for them, summed over workers.
+    #[must_use]
+    pub fn wait_seconds(&self) -> f64 {
+        self.cut.levels.iter().map(|level| level.wait_ns).sum::<u64>() as f64 * 1e-9
+    }
+
+    /// Adds what another run did.
+    pub fn add(&mut self, other: &Self) {
+        self.receivers += other.receivers;
+        self.batches += other.batches;
+        self.cut.add(&other.cut);
+        self.cut_sizes.add(&other.cut_sizes);
+        self.seconds += other.seconds;
+        self.idle_seconds += other.idle_seconds;
+    }
+}
+
+/// A chunk with its results, in the order it was pushed.
+pub struct Shaded<'s, T> {
+    /// The receivers.
+    pub receivers: &'s [Receiver],
+    /// Their results.
+    pub shadings: Vec<Shading>,
+    /// What was attached to them.
+    pub attached: T,
+}
+
+/// Where chunks of receivers are pushed into a running stream.
+pub struct Feed<'q, 'r, T, E> {
+    queue: &'q Queue<'r>,
+    order: ReceiverOrder,
+    attached: VecDeque<T>,
+    pushed: u64,
+    take: &'q mut dyn FnMut(Shaded<'_, T>) -> Result<(), E>,
+}
+
+impl<'r, T, E: From<ScheduleError>> Feed<'_, 'r, T, E> {
+    /// Hands a chunk to the workers, with whatever belongs to it. Where [`CHUNKS_IN_FLIGHT`] are under way, waits for the oldest and has
+    /// it taken first.
+    ///
+    /// # Errors
+    ///
+    /// If a receiver is no place with a direction, a worker failed, or from taking a chunk.
+    pub fn push(&mut self, receivers: Cow<'r, [Receiver]>, attached: T) -> Result<(), E> {
+        while self.attached.len() >= CHUNKS_IN_FLIGHT {
+            self.take_oldest()?;
+        }
+        check_receivers(&receivers, self.pushed)?;
+        let order = match self.order {
+            ReceiverOrder::Morton => morton_order(&receivers),
+            ReceiverOrder::AsGiven => (0..receivers.len() as u32).collect(),
+        };
+        self.pushed += receivers.len() as u64;
+        self.attached.push_back(attached);
+        self.queue.push(Chunk { receivers, order });
+        Ok(())
+    }
+
+    fn take_oldest(&mut self) -> Result<(), E> {
+        let Some(attached) = self.attached.pop_front() else { return Ok(()) };
+        let (chunk, shadings) = self.queue.take_oldest()?;
+        (self.take)(Shaded { receivers: &chunk.receivers, shadings, attached })
+    }
+
+    fn drain(&mut self) -> Result<(), E> {
+        while !self.attached.is_empty() {
+            self.take_oldest()?;
+        }
+        Ok(())
+    }
+}
+
+/// Shades a stream of receivers: `fill` pushes them into a [`Feed`] chunk by chunk, `take` gets each chunk with its results, in the order
+/// of pushing; both run on the calling thread while workers shade. Within a chunk, batches of Morton neighbors go to the workers one after
+/// the other, so that these share pages.
 ///
-/// Which worker shades which batch is left to chance; the results are not.
+/// Which worker shades which batch is left to chance; the results are not. Holds [`CHUNKS_IN_FLIGHT`] chunks and what `fill` and `take`
+/// hold.
+///
+/// # Errors
+///
+/// From `fill` or `take`, if a receiver is not finite, the octree file fails, or on cancellation.
+pub fn shade_stream<'r, T, E: From<ScheduleError>>(
+    octree: &Octree,
+    light: Option<&PreparedLight>,
+    options: &ShadeOptions<'_>,
+    fill: impl FnOnce(&mut Feed<'_, 'r, T, E>) -> Result<(), E>,
+    mut take: impl FnMut(Shaded<'_, T>) -> Result<(), E>,
+) -> Result<ShadeReport, E> {
+    let start = std::time::Instant::now();
+    let queue = Queue::default();
+    let work = || {
+        let guard = StopOnDrop(&queue);
+        let done = run_worker(octree, light, options, &queue);
+        std::mem::forget(guard);
+        done
+    };
+    let (fed, parts) = std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..options.threads.max(1)).map(|_| scope.spawn(work)).collect();
+        if options.prefetch {
+            scope.spawn(|| run_scout(octree, light, options, &queue));
+        }
+        let guard = StopOnDrop(&queue);
+        let attached = VecDeque::with_capacity(CHUNKS_IN_FLIGHT);
+        let mut feed =
+            Feed { queue: &queue, order: options.order, attached, pushed: 0, take: &mut take };
+        let fed = fill(&mut feed).and_then(|()| feed.drain());
+        drop(guard);
+        let join = |worker: std::thread::ScopedJoinHandle<'_, ShadeReport>| {
+            worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        };
+        (fed, workers.into_iter().map(join).collect::<Vec<_>>())
+    });
+    fed?;
+    let mut report = ShadeReport::default();
+    parts.iter().for_each(|part| report.add(part));
+    report.seconds = start.elapsed().as_secs_f64();
+    Ok(report)
+}
+
+/// Shades batches until there are no more; a failure stops the queue.
+fn run_worker(
+    octree: &Octree,
+    light: Option<&PreparedLight>,
+    options: &ShadeOptions<'_>,
+    queue: &Queue<'_>,
+) -> ShadeReport {
+    let mut gatherer = Gatherer::new(octree.reader(), &options.gather, light);
+    let mut report = ShadeReport::default();
+    let mut shadings = Vec::new();
+    let mut idle_ns = 0;
+    loop {
+        let (batch, waited_ns) = queue.next_batch();
+        idle_ns += waited_ns;
+        let Some(batch) = batch else { break };
+        if options.cancel.load(Ordering::Relaxed) {
+            queue.stop(Some(ScheduleError::Cancelled));
+            break;
+        }
+        shadings.clear();
+        let receivers = &batch.chunk.receivers;
+        let gathered = batch.indices().iter().try_for_each(|index| {
+            let shading = gatherer.gather(&receivers[*index as usize])?;
+            report.cut_sizes.note(u64::from(shading.cut_size));
+            shadings.push(shading);
+            Ok(())
+        });
+        if let Err(error) = gathered {
+            queue.stop(Some(ScheduleError::Store(error)));
+            break;
+        }
+        report.batches += 1;
+        report.receivers += shadings.len() as u64;
+        (options.progress)(queue.complete(batch, &shadings));
+    }
+    report.cut = gatherer.stats();
+    report.idle_seconds = idle_ns as f64 * 1e-9;
+    report
+}
+
+/// Gathers for one receiver of each batch ahead of the workers. What comes of it is not kept; an error will be found again.
+fn run_scout(
+    octree: &Octree,
+    light: Option<&PreparedLight>,
+    options: &ShadeOptions<'_>,
+    queue: &Queue<'_>,
+) {
+    let mut gatherer = Gatherer::new(octree.reader(), &options.gather, light);
+    while let Some((chunk, index)) = queue.next_ahead() {
+        if gatherer.gather(&chunk.receivers[index as usize]).is_err() {
+            return;
+        }
+    }
+}
+
+/// Shades receivers that are all at hand and returns their results in the order given. See [`shade_stream`].
 ///
 /// # Errors
 ///
@@ -80,69 +290,40 @@ pub fn shade_receivers(
     receivers: &[Receiver],
     options: &ShadeOptions<'_>,
 ) -> Result<(Vec<Shading>, ShadeReport), ScheduleError> {
-    let start = std::time::Instant::now();
-    let order = morton_order(receivers)?;
-    let next = AtomicUsize::new(0);
-    let done = AtomicUsize::new(0);
-    let failed = AtomicBool::new(false);
-    let work = || -> Result<(Vec<(u32, Shading)>, CutStats), ScheduleError> {
-        let mut gatherer = Gatherer::new(octree.reader(), &options.gather, light);
-        let mut results = Vec::new();
-        while !failed.load(Ordering::Relaxed) {
-            if options.cancel.load(Ordering::Relaxed) {
-                return Err(ScheduleError::Cancelled);
-            }
-            let first = next.fetch_add(BATCH_RECEIVERS, Ordering::Relaxed);
-            if first >= order.len() {
-                break;
-            }
-            let batch = &order[first..(first + BATCH_RECEIVERS).min(order.len())];
-            for &index in batch {
-                let shading = gatherer.gather(&receivers[index as usize]).inspect_err(|_| {
-                    failed.store(true, Ordering::Relaxed);
-                })?;
-                results.push((index, shading));
-            }
-            let before = done.fetch_add(batch.len(), Ordering::Relaxed);
-            (options.progress)((before + batch.len()) as u64);
-        }
-        Ok((results, gatherer.stats()))
-    };
-    let parts: Vec<_> = std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..options.threads.max(1)).map(|_| scope.spawn(work)).collect();
-        workers
-            .into_iter()
-            .map(|w| w.join().unwrap_or_else(|p| std::panic::resume_unwind(p)))
-            .collect()
-    });
-    let mut shadings = vec![Shading::default(); receivers.len()];
-    let mut report = ShadeReport { receivers: receivers.len() as u64, ..ShadeReport::default() };
-    for part in parts {
-        let (results, cut) = part?;
-        report.cut.add(&cut);
-        for (index, shading) in results {
-            shadings[index as usize] = shading;
-        }
-    }
-    report.seconds = start.elapsed().as_secs_f64();
+    let mut shadings = Vec::new();
+    let report = shade_stream(
+        octree,
+        light,
+        options,
+        |feed: &mut Feed<'_, '_, (), ScheduleError>| feed.push(Cow::Borrowed(receivers), ()),
+        |chunk| {
+            shadings = chunk.shadings;
+            Ok(())
+        },
+    )?;
     Ok((shadings, report))
 }
 
-/// Indices of the receivers along the Morton curve of their own bounds, ties in the order given.
-fn morton_order(receivers: &[Receiver]) -> Result<Vec<u32>, ScheduleError> {
+/// Refuses receivers that are no places with directions. The first is the `first`th of all.
+fn check_receivers(receivers: &[Receiver], first: u64) -> Result<(), ScheduleError> {
     for (index, receiver) in receivers.iter().enumerate() {
         let unit = (receiver.normal.length_squared() - 1.0).abs() < 1e-2;
         if !receiver.position.is_finite() || !unit {
             return Err(ScheduleError::BadReceiver {
-                index,
+                index: first + index as u64,
                 position: receiver.position.to_string(),
                 normal: receiver.normal.to_string(),
             });
         }
     }
+    Ok(())
+}
+
+/// Indices of the receivers along the Morton curve of their own bounds, ties in the order given.
+fn morton_order(receivers: &[Receiver]) -> Vec<u32> {
     let root = RootCube::from_bounds(&Aabb::from_points(receivers.iter().map(|r| r.position)));
     let mut keyed: Vec<(u64, u32)> =
         receivers.iter().enumerate().map(|(i, r)| (root.code(r.position).0, i as u32)).collect();
     keyed.sort_unstable();
-    Ok(keyed.into_iter().map(|(_, index)| index).collect())
+    keyed.into_iter().map(|(_, index)| index).collect()
 }

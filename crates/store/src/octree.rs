@@ -211,11 +211,12 @@ impl Octree {
         })
     }
 
-    /// The page, from the cache or from the file; none where it is damaged and `skips` such pages.
-    fn load_page(&self, id: PageId, skips: bool) -> Result<Option<PageRef>, StoreError> {
+    /// The page, from the cache or from the file, and the stored bytes that were read for it; none where it is damaged and `skips` such
+    /// pages.
+    fn load_page(&self, id: PageId, skips: bool) -> Result<Option<(PageRef, u32)>, StoreError> {
         let entry = self.entry(id)?;
         match self.cache.get(id, entry.decoded_bytes) {
-            Lookup::Found(page) => return Ok(Some(page)),
+            Lookup::Found(page) => return Ok(Some((page, 0))),
             Lookup::LeftOut if skips => return Ok(None),
             // Read again for the error alone.
             Lookup::LeftOut => return self.read_page(id, entry).map(|_| None),
@@ -225,8 +226,9 @@ impl Octree {
         match self.read_page(id, entry) {
             Ok(bytes) => {
                 let read_ns = start.elapsed().as_nanos() as u64;
-                let loaded = LoadedPage { bytes, stored_bytes: entry.stored_bytes, read_ns };
-                Ok(Some(self.cache.insert(id, loaded)))
+                let stored_bytes = entry.stored_bytes;
+                let page = self.cache.insert(id, LoadedPage { bytes, stored_bytes, read_ns });
+                Ok(Some((page, stored_bytes)))
             }
             Err(error) if skips && error.is_damaged_page() => {
                 self.cache.leave_out(id, entry.decoded_bytes);
@@ -404,13 +406,19 @@ impl<'a> Reader<'a> {
         }
         // Unpin first, so that the budget can be met.
         self.pins[slot] = None;
-        let page = self.octree.load_page(id, skips)?;
-        self.pins[slot] = page.clone().map(|page| (id, page));
-        Ok(page)
+        let start = std::time::Instant::now();
+        let loaded = self.octree.load_page(id, skips)?;
+        self.stats.wait_ns += start.elapsed().as_nanos() as u64;
+        let Some((page, bytes_read)) = loaded else { return Ok(None) };
+        self.stats.pages_read += u64::from(bytes_read > 0);
+        self.stats.bytes_read += u64::from(bytes_read);
+        self.pins[slot] = Some((id, page.clone()));
+        Ok(Some(page))
     }
 
     /// This reader's counters.
     #[must_use]
+    #[inline(always)]
     pub fn stats(&self) -> ReaderStats {
         self.stats
     }

@@ -54,4 +54,10 @@ pub struct ReaderStats {
     pub requests: u64,
     /// Requests answered from the reader's own pins.
     pub local_hits: u64,
+    /// Pages it read from the file.
+    pub pages_read: u64,
+    /// Stored bytes of those.
+    pub bytes_read: u64,
+    /// Nanoseconds in the shared cache: for its lock, reading, or waiting for others that read.
+    pub wait_ns: u64,
 }

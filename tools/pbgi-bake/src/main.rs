@@ -34,7 +34,7 @@ struct Args {
     light: LightArgs,
     #[command(flatten)]
     layout: LayoutArgs,
-    /// Keep what finished phases made until the bake is complete; go on with what a killed run kept
+    /// Keep what the sort and passes of light made until the bake is complete; go on with what a killed run kept
     #[arg(long)]
     resume: bool,
     /// Folder for temporary files; that of the output if not given

@@ -376,6 +376,9 @@ pub struct OutputArgs {
     /// Statistics as JSON, to a file or - for standard output
     #[arg(long, value_name = "FILE")]
     pub stats_json: Option<PathBuf>,
+    /// Show statistics of cuts, levels of the tree and page cache, too
+    #[arg(long, hide_short_help = true)]
+    pub stats: bool,
 }
 
 impl OutputArgs {

@@ -91,7 +91,13 @@ fn shade_one(
     // Standard output is the statistics' own where they were asked for there.
     let is_table_wanted =
         !args.common.quiet && output.stats_json.as_ref().is_none_or(|path| path.as_os_str() != "-");
-    if is_table_wanted { cli::print(&format_table(&report.rows())) } else { Ok(()) }
+    if is_table_wanted {
+        cli::print(&format_table(&report.rows()))?;
+        if output.stats {
+            cli::print(&format_table(&report.statistics()))?;
+        }
+    }
+    Ok(())
 }
 
 fn settings(args: &ShadeArgs) -> ShadeSettings {

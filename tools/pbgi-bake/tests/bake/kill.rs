@@ -55,48 +55,81 @@ fn a_killed_bake_leaves_the_old_file_and_the_next_one_leaves_nothing_else() {
     }
 }
 
-#[test]
-fn a_killed_bake_is_taken_up_again() {
-    let bench = Bench::new();
-    let input = BAKES[0];
-    let start = Instant::now();
-    bench.bake(&bake(input, &[]), "scene.pbgi");
-    let whole = start.elapsed();
-    let finished = bench.read("scene.pbgi");
-    std::fs::remove_file(bench.path("scene.pbgi")).unwrap();
-    let mut taken_up = 0;
-    for kill in 0..8 {
-        kill_once_kept(&bench, input, whole * kill / 16);
-        // A bake that ends before it is killed has nothing to keep.
-        let is_kept = bench.files().iter().any(|name| name.ends_with(".state"));
-        let run = bench.run(&bake(input, &["--resume"]));
-        assert_eq!(run.code, 0, "{}", run.stderr);
-        let is_taken_up = run.stderr.contains("taking up the surfels");
-        assert_eq!(is_taken_up, is_kept, "{}", run.stderr);
-        taken_up += u32::from(is_taken_up);
-        assert!(bench.read("scene.pbgi") == finished);
-        assert_eq!(bench.files(), ["scene.pbgi"]);
-    }
-    assert!(taken_up > 0, "no kill came before the end");
-    // Without --resume nothing of a killed run is used, and nothing stays.
-    bench.write(&kill_once_kept(&bench, input, Duration::ZERO), "damaged");
-    bench.bake(&bake(input, &[]), "scene.pbgi");
-    assert_eq!(bench.files(), ["scene.pbgi"]);
+/// What a bake keeps once a phase is finished: by the name of its file, and by what the next run says of it.
+struct Kept {
+    ends_with: &'static str,
+    notice: &'static str,
 }
 
-/// Kills a bake a while after it has kept what it sorted, and returns the name of that file.
-fn kill_once_kept(bench: &Bench, input: &[&str], after: Duration) -> String {
-    let args = bake(input, &["--resume"]);
-    let mut child =
-        bench.command(&args).stdin(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
-    loop {
-        if let Some(name) = bench.files().into_iter().find(|name| name.ends_with(".state")) {
-            std::thread::sleep(after);
-            child.kill().unwrap();
-            child.wait().unwrap();
-            return name;
+/// What bakes keep after the sort, and after passes of light.
+const KEPT: [Kept; 2] = [
+    Kept { ends_with: ".state", notice: "taking up the surfels" },
+    Kept { ends_with: ".passes", notice: "going on after pass" },
+];
+
+impl Kept {
+    fn find(&self, bench: &Bench) -> Option<String> {
+        bench.files().into_iter().find(|name| name.ends_with(self.ends_with))
+    }
+}
+
+#[test]
+fn a_killed_bake_is_taken_up_again() {
+    for (input, kept) in BAKES.into_iter().zip(&KEPT) {
+        let bench = Bench::new();
+        let start = Instant::now();
+        bench.bake(&bake(input, &[]), "scene.pbgi");
+        let whole = start.elapsed();
+        let finished = bench.read("scene.pbgi");
+        std::fs::remove_file(bench.path("scene.pbgi")).unwrap();
+        let mut taken_up = 0;
+        for kill in 0..8 {
+            kill_once_kept(&bench, input, kept, whole * kill / 16);
+            // A bake that ends before it is killed has nothing to keep.
+            let is_kept = kept.find(&bench).is_some();
+            let run = bench.run(&bake(input, &["--resume"]));
+            assert_eq!(run.code, 0, "{}", run.stderr);
+            assert_eq!(run.stderr.contains(kept.notice), is_kept, "{}", run.stderr);
+            taken_up += u32::from(is_kept);
+            assert!(bench.read("scene.pbgi") == finished);
+            assert_eq!(bench.files(), ["scene.pbgi"]);
         }
-        assert!(child.try_wait().unwrap().is_none(), "it ended without keeping anything");
+        assert!(taken_up > 0, "no kill came before the end");
+    }
+}
+
+#[test]
+fn what_a_killed_bake_has_kept_is_not_used_unasked_or_damaged() {
+    for (input, kept) in BAKES.into_iter().zip(&KEPT) {
+        let bench = Bench::new();
+        bench.bake(&bake(input, &[]), "scene.pbgi");
+        let finished = bench.read("scene.pbgi");
+        for more in [&[][..], &["--resume"]] {
+            // Some bakes may end before they are killed.
+            let name = (0..8).find_map(|_| {
+                kill_once_kept(&bench, input, kept, Duration::ZERO);
+                kept.find(&bench)
+            });
+            bench.write(&name.expect("a kill comes before the end"), "damaged");
+            let run = bench.run(&bake(input, more));
+            assert_eq!(run.code, 0, "{}", run.stderr);
+            assert!(!run.stderr.contains(kept.notice), "{}", run.stderr);
+            assert!(bench.read("scene.pbgi") == finished);
+            assert_eq!(bench.files(), ["scene.pbgi"]);
+        }
+    }
+}
+
+/// Starts a bake and kills it a while after it has kept something, if it does not end before that.
+fn kill_once_kept(bench: &Bench, input: &[&str], kept: &Kept, after: Duration) {
+    let args = bake(input, &["--resume"]);
+    let mut command = bench.command(&args);
+    let mut child =
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    while kept.find(bench).is_none() && child.try_wait().unwrap().is_none() {
         std::thread::sleep(Duration::from_millis(1));
     }
+    std::thread::sleep(after);
+    child.kill().unwrap();
+    child.wait().unwrap();
 }

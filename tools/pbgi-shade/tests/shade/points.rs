@@ -258,3 +258,71 @@ fn the_target_error_is_met_by_other_receivers_than_those_measured() {
         assert!(found <= 1.3 * target, "{target}: {found}");
     }
 }
+
+/// Shades with a memory limit; returns the statistics.
+fn shade_within(files: &[&str], limit: &str, threads: &str) -> serde_json::Value {
+    let quality = ["--solid-angle", "2", "--raster", "1", "--importance", "off"];
+    let rest = ["--force", "--progress", "none", "--stats-json", "-"];
+    let limits = ["--memory-limit", limit, "--threads", threads];
+    serde_json::from_str(&shade(&[files, &quality, &rest, &limits].concat())).unwrap()
+}
+
+#[test]
+fn receivers_stream_within_the_memory_limit() {
+    let folder = tempfile::tempdir().unwrap();
+    let [input, output] = ["in.ply", "out.ply"].map(|name| folder.path().join(name));
+    // 300 000 rows of 100 bytes: held at once, with their results, they take more than the limit.
+    let names: Vec<String> = (0..19).map(|k| format!("c{k}")).collect();
+    let names: Vec<&str> = ["x", "y", "z", "nx", "ny", "nz"]
+        .into_iter()
+        .chain(names.iter().map(String::as_str))
+        .collect();
+    let mut writer = PlyWriter::create(&input, &names).unwrap();
+    for i in 0..300_000u32 {
+        let mut row = [i as f32; 25];
+        row[..3].copy_from_slice(&[(i % 500) as f32 * 0.02, 0.3, (i / 500) as f32 * 0.02]);
+        row[3..6].copy_from_slice(&[0.0, 1.0, 0.0]);
+        writer.write_rows(&row).unwrap();
+    }
+    writer.finish().unwrap();
+    let octree = octree();
+    let files = [text(&octree), "--receivers", text(&input), "-o", text(&output)];
+    let mut results = Vec::new();
+    // Chunks of 2^12 and 2^16 receivers.
+    for (limit, threads) in [("64MiB", "2"), ("4GiB", "1")] {
+        let stats = shade_within(&files, limit, threads);
+        assert_eq!(stats["receivers"], 300_000);
+        if let ("64MiB", Some(peak)) = (limit, stats["memory_peak_bytes"].as_u64()) {
+            assert!(peak <= 64 << 20, "{peak}");
+        }
+        results.push(std::fs::read(&output).unwrap());
+    }
+    assert!(results[0] == results[1]);
+    let table = ReceiverTable::read(&output).unwrap();
+    let passed = table.column("c7").unwrap();
+    assert!(passed.iter().enumerate().all(|(i, value)| *value == i as f32));
+    // Damage in a late row names it, and the file is as it was.
+    let mut bytes = std::fs::read(&input).unwrap();
+    let at = bytes.len() - 100;
+    bytes[at..at + 4].copy_from_slice(&f32::NAN.to_le_bytes());
+    std::fs::write(&input, &bytes).unwrap();
+    let message = fail(3, &[&files[..], &["--force", "-q", "--solid-angle", "2"]].concat());
+    assert!(message.contains("vertex row 299999"), "{message}");
+    assert!(std::fs::read(&output).unwrap() == results[0]);
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2);
+}
+
+#[test]
+fn limits_and_threads_never_change_a_scan() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    std::fs::write(path("in.las"), scan()).unwrap();
+    bake_to(text(&path("in.las")), 1, &path("scan.pbgi"));
+    let [octree, input, output] = ["scan.pbgi", "in.las", "out.las"].map(path);
+    let files = [text(&octree), "--receivers", text(&input), "-o", text(&output)];
+    let results = [("64MiB", "1"), ("64MiB", "2"), ("2GiB", "2")].map(|(limit, threads)| {
+        shade_within(&files, limit, threads);
+        std::fs::read(&output).unwrap()
+    });
+    assert!(results[0] == results[1] && results[0] == results[2]);
+}

@@ -1,0 +1,109 @@
+//! Scenes whose surfels are lit, in memory and not rounded by any file.
+
+use crate::{bake, dice};
+use anyhow::{Result, bail};
+use pbgi_cloud::{CloudOptions, SliceSource, Surfel, open_cloud};
+use pbgi_image::read_environment;
+use pbgi_light::{Environment, EnvironmentOptions, SkyParameters, synthetic_sky};
+use pbgi_math::Vec3;
+use pbgi_scene::{procedural_scene, read_scene};
+use pbgi_schedule::{GatherSettings, PreparedLight, Receiver, ShadeOptions, shade_receivers};
+use pbgi_sort::{EstimateOptions, SortOptions, SortedSurfels, estimate_surfels, sort_surfels};
+use pbgi_store::Octree;
+use std::f32::consts::PI;
+use std::path::Path;
+
+/// What lights the scenes, where the folder of data has it.
+const SKY: &str = "kloppenheim_05_1k.hdr";
+
+/// Surfels of the scene `name` as they are: street, foliage, or where the folder `data` has the files, sponza, scan. None where it has
+/// not. Their count is about `count`; of the scan, points spread evenly over the file are taken.
+///
+/// # Errors
+///
+/// If there is no such scene, or a step fails.
+pub fn scene_surfels(name: &str, count: u64, data: &Path) -> Result<Option<Vec<Surfel>>> {
+    let (mesh, scan) = (data.join("sponza_crytek.glb"), data.join("autzen_stadium.laz"));
+    Ok(Some(match name {
+        "street" | "foliage" => dice(&procedural_scene(&format!("demo:{name}"))?.scene, count)?,
+        "sponza" if mesh.is_file() => dice(&read_scene(&mesh)?, count)?,
+        "scan" if scan.is_file() => read_scan(&scan, count)?,
+        "sponza" | "scan" => return Ok(None),
+        _ => bail!("there is no scene {name}; see --help"),
+    }))
+}
+
+/// [`scene_surfels`], lit by a sky.
+///
+/// # Errors
+///
+/// As there.
+pub fn lit_surfels(name: &str, count: u64, data: &Path) -> Result<Option<Vec<Surfel>>> {
+    let Some(surfels) = scene_surfels(name, count, data)? else { return Ok(None) };
+    let up = if name == "scan" { Vec3::Z } else { Vec3::Y };
+    let folder = tempfile::tempdir()?;
+    let octree = bake(&surfels, &folder.path().join("dark.pbgi"))?;
+    let sky = data.join(SKY);
+    let image = match sky.is_file() {
+        true => read_environment(&sky)?,
+        false => synthetic_sky(1024, 512, &SkyParameters::default()),
+    };
+    let environment = Environment::from_image(image, EnvironmentOptions::default())?;
+    // The quality of `pbgi-bake --env`.
+    let settings =
+        GatherSettings { solid_angle_sr: 0.2, raster_edge: 6, up, ..GatherSettings::default() };
+    let light = PreparedLight::new(&environment, settings.raster_edge);
+    let reflected = reflected_radiance(&octree, Some(&light), &surfels, &settings)?;
+    let lit = surfels.iter().zip(reflected).map(|(surfel, reflected)| {
+        surfel.with_radiance(std::array::from_fn(|c| surfel.radiance[c] + reflected[c]))
+    });
+    Ok(Some(lit.collect()))
+}
+
+/// About `count` points with sizes and normals estimated, as `pbgi-bake` does it.
+fn read_scan(path: &Path, count: u64) -> Result<Vec<Surfel>> {
+    let (mut points, mut source) = (Vec::new(), open_cloud(path, &CloudOptions::default())?);
+    while source.read_chunk(&mut points)? {}
+    let step = points.len().div_ceil(count.max(1) as usize).max(1);
+    let points: Vec<Surfel> = points.into_iter().step_by(step).collect();
+    let options = SortOptions::default();
+    let sorted = sort_surfels(&mut SliceSource::new(&points), &options)?;
+    let (mut sorted, _) = estimate_surfels(sorted, &EstimateOptions::default(), &options)?;
+    Ok(read_sorted(&mut sorted)?.1)
+}
+
+/// Codes and surfels of a sorted stream.
+///
+/// # Errors
+///
+/// If a temporary file cannot be read.
+pub fn read_sorted(sorted: &mut SortedSurfels) -> Result<(Vec<u64>, Vec<Surfel>)> {
+    let mut all = Vec::new();
+    while sorted.read_chunk(&mut all)? {}
+    Ok(all.into_iter().map(|(code, surfel)| (code.0, surfel)).unzip())
+}
+
+/// What each surfel reflects of the light it gets from `octree` and `light`.
+///
+/// # Errors
+///
+/// If the octree cannot be read.
+pub fn reflected_radiance(
+    octree: &Octree,
+    light: Option<&PreparedLight>,
+    surfels: &[Surfel],
+    settings: &GatherSettings,
+) -> Result<Vec<[f32; 3]>> {
+    let place = |s: &Surfel| {
+        let normal = if s.is_isotropic() { settings.up } else { s.normal() };
+        Receiver::diffuse(s.center(), normal)
+    };
+    let places: Vec<Receiver> = surfels.iter().map(place).collect();
+    let options = ShadeOptions { gather: *settings, threads: 2, ..ShadeOptions::default() };
+    let (shadings, _) = shade_receivers(octree, light, &places, &options)?;
+    let reflect = |(surfel, shading): (&Surfel, &pbgi_schedule::Shading)| {
+        let (albedo, irradiance) = (surfel.albedo_rgb(), shading.irradiance());
+        std::array::from_fn(|c| albedo[c] / PI * irradiance[c])
+    };
+    Ok(surfels.iter().zip(&shadings).map(reflect).collect())
+}
