@@ -6,8 +6,10 @@ use pbgi_build::{BuildOptions, SortedStream, StreamError, StreamSummary, build_o
 use pbgi_cloud::{SliceSource, Surfel, SurfelSource};
 use pbgi_math::MortonCode;
 use pbgi_scene::{DiceOptions, DicedScene, Scene, Spacing, TwoSided};
+use pbgi_schedule::{GatherSettings, Receiver, ShadeOptions, shade_receivers};
 use pbgi_sort::{SortOptions, SortedSurfels, sort_surfels};
 use pbgi_store::{Octree, OpenOptions};
+use std::f32::consts::PI;
 use std::path::Path;
 use std::time::Instant;
 
@@ -84,6 +86,31 @@ fn processor_ns() -> Option<u64> {
     text.split_whitespace().next()?.parse().ok()
 }
 
+/// Reflected radiance of surfels: albedo/π times what they gather from an octree with two threads.
+///
+/// # Errors
+///
+/// If the octree's file fails.
+pub fn relight(
+    octree: &Octree,
+    surfels: &[Surfel],
+    settings: GatherSettings,
+) -> Result<Vec<[f32; 3]>> {
+    let places = surfels.iter().map(|s| Receiver::diffuse(s.center(), s.normal()));
+    let places: Vec<Receiver> = places.collect();
+    let options = ShadeOptions { gather: settings, threads: 2, ..ShadeOptions::default() };
+    let (lit, _) = shade_receivers(octree, None, &places, &options)?;
+    let reflected = surfels.iter().zip(&lit).map(|(surfel, light)| {
+        let (albedo, irradiance) = (surfel.albedo_rgb(), light.irradiance());
+        std::array::from_fn(|c| albedo[c] / PI * irradiance[c])
+    });
+    Ok(reflected.collect())
+}
+
+mod caster;
+mod light_sampler;
 mod svg;
 
+pub use caster::{BOUNCES_MAX, Caster, Gathered, Hit};
+pub use light_sampler::{SkyImage, SkySample};
 pub use svg::{Line, plot};
