@@ -101,8 +101,12 @@ fn processor_ns() -> Option<u64> {
     text.split_whitespace().next()?.parse().ok()
 }
 
+mod caster;
+mod light_sampler;
 mod lit;
 mod svg;
 
+pub use caster::{BOUNCES_MAX, Caster, Gathered, Hit};
+pub use light_sampler::{SkyImage, SkySample};
 pub use lit::{lit_surfels, read_sorted, reflected_radiance, scene_surfels};
 pub use svg::{Line, plot};

@@ -1,15 +1,16 @@
-//! Model error: the engine's results beside converged ray-cast references, with the time they took.
+//! Model error: the engine's results beside converged references by an independent program, with the time they took, beside our own
+//! ray caster's, and split into its causes.
 //!
-//! `cargo run --release -p pbgi-benches --bin reference -- --data ../shared/reference room plaza`
+//! `cargo xtask truth --reference`, `cargo xtask truth --reference --causes room thicket`
 
 use anyhow::{Context, Result};
 use clap::Parser;
-use pbgi_benches::{bake, dice, reflected_radiance};
+use pbgi_benches::{Caster, Gathered, SkyImage, ThreadTimer, bake, dice, reflected_radiance};
 use pbgi_cloud::{ReceiverTable, Surfel};
 use pbgi_image::compare;
 use pbgi_light::{Environment, EnvironmentOptions};
 use pbgi_math::Vec3;
-use pbgi_scene::read_scene;
+use pbgi_scene::{Scene, read_scene};
 use pbgi_schedule::{
     GatherParts, GatherSettings, Gloss, ImportanceTerms, Material, PreparedLight, Receiver,
     ShadeOptions, ShadeReport, Shading, shade_receivers,
@@ -41,6 +42,13 @@ struct Arguments {
     /// Shade every n-th receiver.
     #[arg(long, default_value_t = 10)]
     every: usize,
+    /// Paths per receiver of our own ray caster, whose error is printed below the engine's; 0 for none.
+    #[arg(long, default_value_t = 256)]
+    rays: u32,
+    /// Turn each cause of error up to its limit alone: four times the surfels, finer rasters, every surfel, no importance. In room, direct
+    /// light only.
+    #[arg(long)]
+    causes: bool,
     /// room, plaza, embers, thicket.
     #[arg(default_values_t = ["room", "plaza", "embers", "thicket"].map(str::to_owned))]
     scenes: Vec<String>,
@@ -49,8 +57,35 @@ struct Arguments {
 /// Where the references of embers are seen from.
 const EMBERS_EYE: Vec3 = Vec3::new(0.25, 1.35, 6.2);
 
+/// A setting, and how many times as many surfels.
+#[derive(Clone, Copy)]
+struct Variant {
+    label: &'static str,
+    settings: GatherSettings,
+    density: u64,
+}
+
+/// The settings, and each with one cause of error turned up to its limit.
+fn causes(settings: GatherSettings) -> Vec<Variant> {
+    let plain = Variant { label: "as set", settings, density: 1 };
+    let with = |label, settings| Variant { label, settings, density: 1 };
+    let raster_edge = |n| GatherSettings { raster_edge: n, ..settings };
+    vec![
+        plain,
+        Variant { label: "surfels x 4", density: 4, ..plain },
+        with("raster 16", raster_edge(16)),
+        with("raster 32", raster_edge(32)),
+        with("every surfel", GatherSettings { solid_angle_sr: 0.0, ..settings }),
+        with("no bias", GatherSettings { bias: 0.0, ..settings }),
+        with("no importance", GatherSettings { importance: ImportanceTerms::OFF, ..settings }),
+    ]
+}
+
 struct Bench<'a> {
     folder: &'a Path,
+    scene: &'a Scene,
+    label: &'a str,
+    rays: u32,
     name: &'a str,
     table: ReceiverTable,
     receivers: Vec<Receiver>,
@@ -80,19 +115,48 @@ impl Bench<'_> {
     }
 
     fn report(&self, what: &str, found: &[f32], truth: &[f32], run: &ShadeReport) -> Result<()> {
-        let error = compare(found, truth)?;
         let receivers = run.receivers as f64;
+        let cut = format!("{:.0}", run.cut.cut_size() as f64 / receivers);
+        self.print([what, self.label, &cut], found, truth, run.seconds / receivers)
+    }
+
+    fn print(
+        &self,
+        [what, label, cut]: [&str; 3],
+        found: &[f32],
+        truth: &[f32],
+        seconds: f64,
+    ) -> Result<()> {
+        let error = compare(found, truth)?;
         println!(
-            "{:8} {what:12} {:7.2} % {:+7.2} % {:6.2} % {:7.1} % {:9.1} {:7.0}",
+            "{:8} {what:11} {label:13} {:7.2} % {:+7.2} % {:6.2} % {:6.1} % {:7.1} % {:9.1} {cut:>6}",
             self.name,
             error.rrmse * 100.0,
             error.bias * 100.0,
             error.p50 * 100.0,
+            error.p95 * 100.0,
             error.p99 * 100.0,
-            run.seconds * 1e6 / receivers,
-            run.cut.cut_size() as f64 / receivers,
+            seconds * 1e6,
         );
         Ok(())
+    }
+
+    /// The error of our own ray caster, which shares nothing with the engine but the scene.
+    fn cast(
+        &self,
+        what: &str,
+        caster: &Caster,
+        bounces: u32,
+        value: impl Fn(&Gathered) -> [f32; 3],
+    ) -> Result<()> {
+        let timer = ThreadTimer::start();
+        let gather = |(i, r): (usize, &Receiver)| {
+            value(&caster.gather(r.position, r.normal, bounces, self.rays, i as u32))
+        };
+        let found: Vec<[f32; 3]> = self.receivers.iter().enumerate().map(gather).collect();
+        let seconds = timer.seconds() / found.len().max(1) as f64;
+        let truth = self.rgb(&format!("ref_{what}"))?;
+        self.print([what, "rays", ""], found.as_flattened(), &truth, seconds)
     }
 
     fn irradiance(&self, what: &str, octree: &Octree, light: Option<&PreparedLight>) -> Result<()> {
@@ -123,43 +187,80 @@ impl Bench<'_> {
             let bench = Bench { table: table.clone(), receivers, settings, ..*self };
             let (shadings, run) = bench.shade(octree, None)?;
             let found: Vec<f32> = shadings.iter().flat_map(|s| s.reflected).collect();
-            self.report(&column[4..], &found, &bench.rgb(column)?, &run)?;
+            let truth = bench.rgb(column)?;
+            self.report(&column[4..], &found, &truth, &run)?;
+            if self.rays > 0 {
+                let caster = Caster::new(self.scene, None);
+                let timer = ThreadTimer::start();
+                let cast = |(i, r): (usize, &Receiver)| {
+                    let eye = (EMBERS_EYE - r.position).normalize();
+                    caster.reflect(r.position, r.normal, eye, alpha, self.rays, i as u32)
+                };
+                let found: Vec<[f32; 3]> = bench.receivers.iter().enumerate().map(cast).collect();
+                let seconds = timer.seconds() / found.len().max(1) as f64;
+                self.print([&column[4..], "rays", ""], found.as_flattened(), &truth, seconds)?;
+            }
         }
         Ok(())
-    }
-
-    /// One bounce: surfels lit by the emitter, which itself counts as black.
-    fn relight(&self, octree: &Octree, surfels: &[Surfel]) -> Result<Vec<Surfel>> {
-        let reflected = reflected_radiance(octree, None, surfels, &self.settings)?;
-        let relit = surfels.iter().zip(reflected).map(|(surfel, reflected)| {
-            let emits = surfel.radiance.iter().any(|&c| c > 0.0);
-            surfel.with_radiance(if emits { [0.0; 3] } else { reflected })
-        });
-        Ok(relit.collect())
     }
 
     fn run(&self, surfels: &[Surfel], octree: &Octree, path: &Path) -> Result<()> {
         match self.name {
             "room" => {
                 self.irradiance("direct", octree, None)?;
-                let octree = bake(&self.relight(octree, surfels)?, path)?;
-                self.irradiance("indirect", &octree, None)
+                let caster = Caster::new(self.scene, None);
+                if self.rays > 0 {
+                    self.cast("direct", &caster, 0, |g| g.irradiance_from(0))?;
+                    self.cast("indirect", &caster, 1, |g| g.irradiance_from(1))?;
+                }
+                if self.label.is_empty() {
+                    // One bounce: the emitter itself counts as black.
+                    let reflected = reflected_radiance(octree, None, surfels, &self.settings)?;
+                    let lit =
+                        surfels.iter().zip(reflected).map(|(s, light)| s.with_radiance(light));
+                    let octree = bake(&lit.collect::<Vec<_>>(), path)?;
+                    self.irradiance("indirect", &octree, None)?;
+                }
+                Ok(())
             }
             "plaza" => ["sky", "sky_sun"].into_iter().try_for_each(|sky| {
                 let file = self.folder.join(format!("plaza_{sky}.exr"));
                 let image = pbgi_image::read_environment(&file)?;
-                let environment = Environment::from_image(image, EnvironmentOptions::default())?;
+                let environment =
+                    Environment::from_image(image.clone(), EnvironmentOptions::default())?;
                 let light = PreparedLight::new(&environment, self.settings.raster_edge);
-                self.irradiance(sky, octree, Some(&light))
+                self.irradiance(sky, octree, Some(&light))?;
+                if self.rays > 0 {
+                    let image = SkyImage::new(image);
+                    let caster = Caster::new(self.scene, Some(&image));
+                    self.cast(sky, &caster, 0, |g| g.irradiance_from(0))?;
+                }
+                Ok(())
             }),
             "embers" => {
                 self.irradiance("irradiance", octree, None)?;
+                if self.rays > 0 {
+                    let caster = Caster::new(self.scene, None);
+                    self.cast("irradiance", &caster, 0, |g| g.irradiance_from(0))?;
+                }
                 self.gloss(octree)
             }
             _ => {
                 let (shadings, run) = self.shade(octree, None)?;
                 let found: Vec<f32> = shadings.iter().map(|s| s.ambient_occlusion).collect();
-                self.report("ao", &found, &self.column("ref_ao")?, &run)
+                let truth = self.column("ref_ao")?;
+                self.report("ao", &found, &truth, &run)?;
+                if self.rays > 0 {
+                    let caster = Caster::new(self.scene, None);
+                    let timer = ThreadTimer::start();
+                    let open = |(i, r): (usize, &Receiver)| {
+                        caster.gather(r.position, r.normal, 0, self.rays, i as u32).openness as f32
+                    };
+                    let found: Vec<f32> = self.receivers.iter().enumerate().map(open).collect();
+                    let seconds = timer.seconds() / found.len().max(1) as f64;
+                    self.print(["ao", "rays", ""], &found, &truth, seconds)?;
+                }
+                Ok(())
             }
         }
     }
@@ -180,18 +281,32 @@ fn main() -> Result<()> {
     };
     let temporary = tempfile::tempdir()?;
     println!(
-        "scene    quantity       rRMSE      bias   median      p99  µs/receiver  cut (1 thread)"
+        "scene    quantity    setting          rRMSE      bias   median      p95       p99 µs/receiver   cut (1 thread)"
     );
+    let plain = Variant { label: "", settings, density: 1 };
+    let variants = if arguments.causes { causes(settings) } else { vec![plain] };
     for name in &arguments.scenes {
         let scene = read_scene(&arguments.data.join(format!("{name}.glb")))?;
-        let surfels = dice(&scene, arguments.surfels)?;
         let table = ReceiverTable::read(&arguments.data.join(format!("{name}_receivers.ply")))?;
         let places = table.positions.iter().zip(&table.normals).step_by(arguments.every);
-        let receivers = places.map(|(p, n)| Receiver::diffuse(*p, *n)).collect();
-        let every = arguments.every;
-        let bench = Bench { folder: &arguments.data, name, table, receivers, settings, every };
-        let path = temporary.path().join("scene.pbgi");
-        bench.run(&surfels, &bake(&surfels, &path)?, &path)?;
+        let receivers: Vec<Receiver> = places.map(|(p, n)| Receiver::diffuse(*p, *n)).collect();
+        for Variant { label, settings, density } in &variants {
+            let surfels = dice(&scene, arguments.surfels * density)?;
+            let bench = Bench {
+                folder: &arguments.data,
+                scene: &scene,
+                label,
+                // Rays do not depend on what is varied.
+                rays: if arguments.causes { 0 } else { arguments.rays },
+                name,
+                table: table.clone(),
+                receivers: receivers.clone(),
+                settings: *settings,
+                every: arguments.every,
+            };
+            let path = temporary.path().join("scene.pbgi");
+            bench.run(&surfels, &bake(&surfels, &path)?, &path)?;
+        }
     }
     Ok(())
 }

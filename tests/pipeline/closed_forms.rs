@@ -2,7 +2,7 @@
 
 use crate::support::bake_and_open;
 use pbgi_build::BuildOptions;
-use pbgi_cloud::Surfel;
+use pbgi_cloud::{Surfel, SurfelFlags};
 use pbgi_math::Vec3;
 use pbgi_schedule::{GatherSettings, Gatherer, Receiver};
 use pbgi_store::Octree;
@@ -72,6 +72,39 @@ fn receivers_on_the_walls_of_a_closed_room_see_all_of_it() {
             let relative = found.surface_irradiance[0] / PI;
             assert!((relative - 1.0).abs() < 0.05, "{solid_angle_sr} {receiver:?}: {relative}");
         }
+    }
+}
+
+/// A lattice of 24 × 24 squares around the foot of the origin on a plane, facing `normal` at `height`.
+fn sheet(normal: Vec3, height: f32, step: f32) -> impl Iterator<Item = Surfel> {
+    let place = move |i: i32| (i as f32 - 11.5) * step;
+    let centers = (0..24 * 24).map(move |i| Vec3::new(place(i % 24), height, place(i / 24)));
+    let radius = step * std::f32::consts::FRAC_1_SQRT_2;
+    centers.map(move |center| {
+        let surfel = Surfel::new(center, normal, radius, step * step);
+        surfel.with_flags(SurfelFlags::FRONT_ONLY).with_tile(Vec3::X, 1.0)
+    })
+}
+
+/// A leaf a tenth of its surfels' spacing above another hides the sky from it, though it rises less than the bias; the lower leaf's own other
+/// side does not.
+#[test]
+fn a_leaf_close_above_another_hides_its_sky() {
+    let step = 0.02;
+    let mut surfels = Vec::new();
+    for height in [0.0, 0.1 * step] {
+        for normal in [Vec3::Y, Vec3::NEG_Y] {
+            surfels.extend(sheet(normal, height, step));
+        }
+    }
+    let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
+    let settings = GatherSettings { solid_angle_sr: 0.0, ..GatherSettings::default() };
+    for place in [Vec3::ZERO, Vec3::new(0.013, 0.0, -0.031)] {
+        let between = gather(&octree, &settings, Receiver::diffuse(place, Vec3::Y));
+        assert!(between.ambient_occlusion < 0.05, "{place}: {}", between.ambient_occlusion);
+        let above = Receiver::diffuse(place + 0.1 * step * Vec3::Y, Vec3::Y);
+        let above = gather(&octree, &settings, above);
+        assert!(above.ambient_occlusion > 0.999, "{place}: {}", above.ambient_occlusion);
     }
 }
 

@@ -1,4 +1,5 @@
-//! Chores of the workspace: `cargo xtask tidy`, `cargo xtask bless`, `cargo xtask billion`, `cargo xtask ci`.
+//! Chores of the workspace: `cargo xtask tidy`, `cargo xtask bless`, `cargo xtask billion`, `cargo xtask truth`,
+//! `cargo xtask ci`.
 #![forbid(unsafe_code)]
 
 mod billion;
@@ -8,6 +9,7 @@ mod crate_roots;
 mod edges;
 mod layout_lock;
 mod text;
+mod truth;
 mod workspace;
 
 use std::process::ExitCode;
@@ -21,6 +23,8 @@ Usage: cargo xtask COMMAND
   bless golden    rewrite the golden octree file and its dump in docs/format.md
   billion [SURFELS [FOLDER]]
                   bake, verify and shade a street of so many surfels (1G) in a folder (.); 60 GB of disk (minutes)
+  truth [--reference] [ARGUMENTS]
+                  errors against a ray caster's truth, or against the converged references (minutes); --help tells more
   ci              run every check, as .ci/run does (minutes)
 ";
 
@@ -34,6 +38,7 @@ fn main() -> ExitCode {
         ["billion"] => billion::run(&workspace, "1G", "."),
         ["billion", surfels] => billion::run(&workspace, surfels, "."),
         ["billion", surfels, folder] => billion::run(&workspace, surfels, folder),
+        ["truth", ref rest @ ..] => truth::run(&workspace, rest),
         ["ci"] => ci::run(&workspace),
         ["-h" | "--help"] => {
             print!("{USAGE}");

@@ -422,6 +422,30 @@ struct Leaf {
     level: usize,
 }
 
+/// Share of its radius by which a surfel that faces the receiver's side must rise above the tangent plane: more than codes are off by.
+const FACING_BIAS: f32 = 0.05;
+
+/// Whether a surfel, relative to the receiver, belongs to the surface the receiver lies on, as far as that can hide anything: it does not
+/// rise above the tangent plane, or is the other side of a convex edge.
+#[inline(always)]
+fn is_own_surface(surfel: &LeafSurfel, receiver: &CutReceiver) -> bool {
+    // Highest point of the disk above the tangent plane: r sin(angle between the normals).
+    let tilt = surfel.normal.dot(receiver.normal);
+    let sine = if surfel.isotropic { 1.0 } else { (1.0 - tilt * tilt).max(0.0).sqrt() };
+    let height = surfel.center.dot(receiver.normal);
+    // A surface does not face its own front: what does hangs over the receiver, however low.
+    let is_facing = !surfel.isotropic && tilt < 0.0;
+    let least =
+        if is_facing { FACING_BIAS.min(receiver.surfel_bias) } else { receiver.surfel_bias };
+    if height + surfel.radius * sine <= receiver.bias + least * surfel.radius {
+        return true;
+    }
+    // Disks reach over the edges of their surface. Where one of a solid thing is seen from behind and has its middle below the tangent
+    // plane, the receiver's own surface lies before it.
+    let is_disk = !surfel.isotropic && !surfel.front_only && !surfel.tile.is_known();
+    is_disk && height <= 0.0 && surfel.normal.dot(surfel.center) > 0.0
+}
+
 #[inline(always)]
 fn take_leaf<V: CutVisitor>(
     reader: &mut Reader<'_>,
@@ -452,11 +476,7 @@ fn take_leaf<V: CutVisitor>(
     for &(distance2, index) in order.iter() {
         let mut surfel = surfels.surfel(index);
         surfel.center -= receiver.position;
-        // Highest point of the disk above the tangent plane: r sin(angle between the normals).
-        let tilt = surfel.normal.dot(receiver.normal);
-        let sine = if surfel.isotropic { 1.0 } else { (1.0 - tilt * tilt).max(0.0).sqrt() };
-        let top = surfel.center.dot(receiver.normal) + surfel.radius * sine;
-        if top <= receiver.bias + receiver.surfel_bias * surfel.radius || distance2 == 0.0 {
+        if distance2 == 0.0 || is_own_surface(&surfel, receiver) {
             continue;
         }
         let seed = node_seed(id, leaf.place.0 + (index << 24), 0);
