@@ -4,7 +4,7 @@ use crate::support::bake_and_open;
 use pbgi_build::BuildOptions;
 use pbgi_cloud::{Surfel, SurfelFlags};
 use pbgi_math::Vec3;
-use pbgi_schedule::{GatherSettings, Gatherer, Receiver};
+use pbgi_schedule::{GatherSettings, Gatherer, ImportanceTerms, Receiver};
 use pbgi_store::Octree;
 use pbgi_testkit::{SurfelForm, closed_room, random_objects, ray_cast_gather, sphere_directions};
 use std::f32::consts::{FRAC_1_PI, PI};
@@ -154,6 +154,53 @@ fn error_falls_with_the_threshold() {
     };
     let (coarse, fine) = (error(0.1), error(0.003));
     assert!(coarse < 0.1 && fine < 0.01 && fine < coarse, "{coarse} {fine}");
+}
+
+/// An uneven ground of disks in shifted rows, cut apart along ragged lines by the boxes of its nodes, is as closed in a cut as it is surfel by
+/// surfel: what is missing of a node's section is at its rim, where its neighbors are.
+#[test]
+fn uneven_ground_is_closed_at_every_threshold() {
+    let (count, spacing) = (200usize, 0.25f32);
+    let height = |x: f32, z: f32| 0.18 * (0.6 * x).sin() * (0.5 * z).cos();
+    let surfels: Vec<Surfel> = (0..count * count)
+        .map(|i| {
+            let (row, column) = (i / count, i % count);
+            let shift = ((row * 37) % 101) as f32 / 101.0;
+            let (x, z) =
+                ((column as f32 - 100.0 + shift) * spacing, (row as f32 - 100.0) * spacing);
+            let slope = |a: f32, b: f32| (a - b) / 0.02;
+            let (dx, dz) = (
+                slope(height(x + 0.01, z), height(x - 0.01, z)),
+                slope(height(x, z + 0.01), height(x, z - 0.01)),
+            );
+            let normal = Vec3::new(-dx, 1.0, -dz).normalize();
+            Surfel::new(Vec3::new(x, height(x, z), z), normal, 1.2 * spacing, spacing * spacing)
+        })
+        .collect();
+    let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
+    let openness = |solid_angle_sr: f32, receiver: Receiver| {
+        let settings = GatherSettings {
+            solid_angle_sr,
+            importance: ImportanceTerms::OFF,
+            ..GatherSettings::default()
+        };
+        gather(&octree, &settings, receiver).ambient_occlusion
+    };
+    let receivers: Vec<Receiver> = (0..12)
+        .map(|i| {
+            let f = |k: usize| ((i * k) % 13) as f32 - 6.0;
+            let normal = Vec3::new(0.02 * f(5), -1.0, 0.03 * f(3)).normalize();
+            Receiver::diffuse(Vec3::new(f(3), 3.0, f(7)), normal)
+        })
+        .collect();
+    let mean = |solid_angle_sr: f32| {
+        receivers.iter().map(|r| openness(solid_angle_sr, *r)).sum::<f32>() / 12.0
+    };
+    let closed = mean(0.0);
+    for solid_angle_sr in [0.1, 0.05, 0.02, 0.01] {
+        let excess = mean(solid_angle_sr) - closed;
+        assert!(excess.abs() < 0.012, "{solid_angle_sr}: {excess} of {closed}");
+    }
 }
 
 /// A ledge of two rows of oblong micropolygons, as rectangles, hides what it should, up to their reserve of 2 % per edge and

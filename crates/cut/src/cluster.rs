@@ -8,6 +8,12 @@ use pbgi_math::{Vec3, box_silhouette, central_section_area};
 pub struct Piece {
     /// The plane: its normal over its signed distance from the receiver.
     pub inverse: Vec3,
+    /// Smallest corner of the box that cuts the piece out of the plane, relative to the receiver; inside the node's.
+    pub low: Vec3,
+    /// Largest corner.
+    pub high: Vec3,
+    /// Whether it stands for surfaces of all orientations, which lie anywhere in the node's box, and faces the receiver.
+    pub is_round: bool,
     /// Which share of the plane's section with the node's box it covers: from here …
     pub start: f32,
     /// … to here. Pieces of a node cover different shares.
@@ -18,6 +24,20 @@ pub struct Piece {
     pub cosine: f32,
     /// Their radiance; 0 for backs.
     pub radiance: [f32; 3],
+}
+
+impl Piece {
+    /// Makes it smaller about a point of its plane, where `scale` is below 1.
+    ///
+    /// What is missing from the section of a closed surface is at its rim: pieces of one surface are cut apart along ragged lines, so that
+    /// their boxes overlap. Holes all over the section instead would let light through that surface wherever they do not.
+    #[inline(always)]
+    fn shrink(&mut self, point: Vec3, scale: f32) {
+        if scale < 1.0 {
+            self.low = point + (self.low - point) * scale;
+            self.high = point + (self.high - point) * scale;
+        }
+    }
 }
 
 /// What a node shows to the receiver.
@@ -45,6 +65,9 @@ const SOLID_WHOLE: f32 = 0.75;
 /// The same for sheets, which have holes.
 const SHEET_WHOLE: f32 = 0.95;
 
+/// Fill from which on a flat lobe of a solid thing is drawn without holes, but smaller.
+const SOLID_CLOSED: f32 = 0.5;
+
 /// Thickness of a flat box, as a share of its largest edge; known to the builder.
 const THICKNESS: f32 = 1e-3;
 
@@ -52,6 +75,8 @@ const THICKNESS: f32 = 1e-3;
 #[derive(Clone, Copy, Default)]
 struct Shown {
     piece: Piece,
+    /// Where the plane comes nearest to the middle of the box.
+    point: Vec3,
     distance2: f32,
     /// Share of the section it covers.
     opacity: f32,
@@ -121,9 +146,15 @@ impl Cluster {
         let mut covered = 0.0;
         for (piece, seen) in cluster.pieces.iter_mut().zip(shown.iter()) {
             *piece = seen.piece;
-            let whole = if seen.is_sheet { SHEET_WHOLE } else { SOLID_WHOLE };
-            if seen.is_flat && seen.opacity >= whole {
+            (piece.low, piece.high) = (cluster.low, cluster.high);
+            let (closed, whole) = if seen.is_sheet {
+                (SHEET_WHOLE, SHEET_WHOLE)
+            } else {
+                (SOLID_CLOSED, SOLID_WHOLE)
+            };
+            if seen.is_flat && seen.opacity >= closed {
                 piece.end = 1.0;
+                piece.shrink(seen.point, (seen.opacity / whole).sqrt());
             } else if seen.is_front {
                 piece.start = covered;
                 piece.end = (covered + seen.opacity).min(1.0);
@@ -195,6 +226,9 @@ fn see_lobe(lobe: &Lobe, center: Vec3, half: Vec3, toward_receiver: Vec3) -> Opt
     let height = if height.abs() < least { least } else { height };
     let piece = Piece {
         inverse: normal * (1.0 / height),
+        low: Vec3::ZERO,
+        high: Vec3::ZERO,
+        is_round: !is_flat,
         start: 0.0,
         end: 0.0,
         solid_angle: if is_front { front } else { back } / distance2,
@@ -202,7 +236,7 @@ fn see_lobe(lobe: &Lobe, center: Vec3, half: Vec3, toward_receiver: Vec3) -> Opt
         radiance: if is_front { lobe.radiance } else { [0.0; 3] },
     };
     let is_sheet = !lobe.blocks_back;
-    Some(Shown { piece, distance2, opacity, area, is_sheet, is_flat, is_front })
+    Some(Shown { piece, point, distance2, opacity, area, is_sheet, is_flat, is_front })
 }
 
 /// Reduces what sheets show that are not one flat piece to `1 − e^−τ`.
@@ -238,6 +272,11 @@ mod tests {
 
     /// Floor and wall of a node, as the receiver sees them.
     fn see_corner(receiver: Vec3) -> Cluster {
+        see(receiver, &[Vec3::Y, Vec3::X], 1.0, 0.0)
+    }
+
+    /// Lobes of a node of the box 0 ..= 1, whose planes lie at its lower sides, with this fill and width.
+    fn see(receiver: Vec3, vectors: &[Vec3], fill: f32, width: f32) -> Cluster {
         let layout = SurfelLayout {
             channels: Channels::Rgb,
             albedo: false,
@@ -246,15 +285,9 @@ mod tests {
             radiance_scale: 1.0,
         };
         let mut bytes = Vec::new();
-        for vector in [Vec3::Y, Vec3::X] {
-            let lobe = Lobe {
-                vector,
-                width: 0.0,
-                blocks_back: true,
-                radiance: [1.0; 3],
-                height: -1.0,
-                fill: 1.0,
-            };
+        for &vector in vectors {
+            let lobe =
+                Lobe { vector, width, blocks_back: true, radiance: [1.0; 3], height: -1.0, fill };
             lobe.write(layout.channels, layout.area, layout.radiance_scale, &mut bytes);
         }
         Cluster::from_lobes(-receiver, Vec3::ONE - receiver, 0.0, &bytes, 1, &layout)
@@ -274,6 +307,37 @@ mod tests {
                 cluster.pieces().iter().find(of_axis).map_or(0.0, |p| p.radiance[0])
             };
             assert_eq!((shown(1), shown(0)), (floor, wall), "{receiver}");
+        }
+    }
+
+    #[test]
+    fn what_a_solid_plane_lacks_is_at_its_rim() {
+        let receiver = Vec3::new(0.5, 3.0, 0.5);
+        for (fill, expected) in
+            [(0.95f32, 1.0), (0.72, 0.72 / SOLID_WHOLE), (0.6, 0.6 / SOLID_WHOLE)]
+        {
+            let cluster = see(receiver, &[Vec3::Y], fill, 0.0);
+            let [piece] = cluster.pieces() else { panic!("one piece") };
+            assert_eq!((piece.start, piece.end), (0.0, 1.0), "{fill}");
+            let edges = piece.high - piece.low;
+            assert!((edges.x * edges.z - expected).abs() < 0.01, "{fill}: {edges}");
+            // About the middle of the plane, and still around it.
+            let middle = (piece.low + piece.high) * 0.5 + receiver;
+            assert!((middle.x - 0.5).abs() < 1e-3 && (middle.z - 0.5).abs() < 1e-3, "{middle}");
+            assert!(piece.low.y <= -receiver.y && piece.high.y >= -receiver.y, "{piece:?}");
+        }
+        // Where most is missing, nobody knows where the rest is.
+        let cluster = see(receiver, &[Vec3::Y], 0.3, 0.0);
+        let [piece] = cluster.pieces() else { panic!("one piece") };
+        assert!(piece.end < 0.35 && (piece.low, piece.high) == (cluster.low, cluster.high));
+    }
+
+    #[test]
+    fn pieces_tell_whether_they_are_planes() {
+        let receiver = Vec3::new(0.5, 3.0, 0.5);
+        for (width, is_round) in [(0.0, false), (4.0, true)] {
+            let cluster = see(receiver, &[Vec3::Y], 1.0, width);
+            assert_eq!(cluster.pieces()[0].is_round, is_round);
         }
     }
 

@@ -36,13 +36,28 @@ const NEEDLE_RATIO: f32 = 2.2;
 const TILE_RESERVE: f32 = 1.02;
 
 /// Share of a piece's extent by which planes of neighbors on the same surface may lie before its own and not hide it.
-const NEIGHBOR_DEPTH: f32 = 0.15;
+const PIECE_DEPTH: f32 = 0.15;
 
-/// How much nearer, as a share of the distance, neighbors may be: of a piece with this extent over its distance, seen at this
-/// cosine. Where the plane is seen at a grazing angle, a small step along its normal is a long one along the line of sight.
+/// The same for a surfel and its radius: disks, which reach over each other, stand before their neighbors on a convex surface.
+const SURFEL_DEPTH: f32 = 0.5;
+
+/// How much nearer, as a share of the distance, neighbors may be whose planes lie apart by this share of the extent: of a piece with
+/// this extent over its distance, seen at this cosine. Where the plane is seen at a grazing angle, a small step along its normal is a
+/// long one along the line of sight.
 #[inline(always)]
-pub(crate) fn neighbor_tolerance(spread: f32, cosine: f32) -> f32 {
-    spread * if cosine > NEIGHBOR_DEPTH { NEIGHBOR_DEPTH / cosine } else { 1.0 }
+fn neighbor_tolerance(depth: f32, spread: f32, cosine: f32) -> f32 {
+    spread * if cosine > depth { depth / cosine } else { 1.0 }
+}
+
+/// The same for a piece of a cluster. Where its surfaces have all orientations, they lie anywhere in the node: its neighbors at the same
+/// distance do not hide them, though they may cover the same sample.
+#[inline(always)]
+fn piece_tolerance(cluster: &Cluster, piece: &Piece) -> f32 {
+    if piece.is_round {
+        cluster.spread
+    } else {
+        neighbor_tolerance(PIECE_DEPTH, cluster.spread, piece.cosine)
+    }
 }
 
 /// Area that a surfel shows along its normal; an isotropic one half of its own in every direction.
@@ -104,13 +119,20 @@ pub(crate) fn surfel_ink(seen: &SurfelSeen, normal: Vec3, opacity: f32, extent: 
         veil: Veil { start: 0.0, end: opacity, seed: seen.seed },
         solid_angle: shown_area(surfel) * cosine.abs() / seen.distance2,
         radiance: if cosine > 0.0 { surfel.radiance } else { [0.0; 3] },
-        tolerance: neighbor_tolerance(extent / distance, cosine.abs()),
+        tolerance: neighbor_tolerance(SURFEL_DEPTH, extent / distance, cosine.abs()),
     }
+}
+
+/// How a piece of a cluster covers and shines.
+#[inline(always)]
+pub(crate) fn piece_ink(cluster: &Cluster, piece: &Piece, veil: Veil) -> Ink {
+    let Piece { solid_angle, radiance, .. } = *piece;
+    Ink { veil, solid_angle, radiance, tolerance: piece_tolerance(cluster, piece) }
 }
 
 /// Where a piece of a cluster lies, and which share of it is there.
 #[inline(always)]
 pub(crate) fn piece_shape(cluster: &Cluster, piece: &Piece) -> (Section, Veil) {
-    let section = Section { inverse: piece.inverse, low: cluster.low, high: cluster.high };
+    let section = Section { inverse: piece.inverse, low: piece.low, high: piece.high };
     (section, Veil { start: piece.start, end: piece.end, seed: cluster.seed })
 }

@@ -1,8 +1,6 @@
 //! One receiver: its cut drawn into its raster, under the environment, times its BRDF.
 
-use crate::drawing::{
-    blocks, neighbor_tolerance, piece_shape, surfel_disk, surfel_ink, surfel_tile,
-};
+use crate::drawing::{blocks, piece_ink, piece_shape, surfel_disk, surfel_ink, surfel_tile};
 use crate::importance::{CubeThreshold, ImportanceTerms, LobeThreshold, Stakes};
 use crate::light::{PreparedLight, PreparedPeak};
 use crate::receiver::{Gloss, Receiver, Shading};
@@ -339,13 +337,7 @@ impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
         let pieces = cluster.pieces();
         for (shape, piece) in shapes.iter_mut().zip(pieces) {
             let (section, veil) = piece_shape(cluster, piece);
-            let ink = Ink {
-                veil,
-                solid_angle: piece.solid_angle,
-                radiance: piece.radiance,
-                tolerance: neighbor_tolerance(cluster.spread, piece.cosine),
-            };
-            *shape = (section, ink);
+            *shape = (section, piece_ink(cluster, piece, veil));
         }
         let toward = cluster.low + cluster.high;
         self.raster.draw::<L, _>(&shapes[..pieces.len()], &self.footprint, toward);

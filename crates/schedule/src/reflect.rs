@@ -1,8 +1,6 @@
 //! What a glossy receiver reflects: the cut drawn into a raster as dense as its lobe, over the environment.
 
-use crate::drawing::{
-    blocks, neighbor_tolerance, piece_shape, surfel_disk, surfel_ink, surfel_tile,
-};
+use crate::drawing::{blocks, piece_ink, piece_shape, surfel_disk, surfel_ink, surfel_tile};
 use crate::importance::nearest_to;
 use crate::light::PreparedLight;
 use pbgi_brdf::{GgxLobe, LobeDirections, LobePattern};
@@ -134,13 +132,7 @@ impl<L: Lanes> CutVisitor for LobeVisitor<'_, L> {
         for piece in cluster.pieces() {
             let (section, veil) = piece_shape(cluster, piece);
             let toward = (cluster.low + cluster.high) * 0.5;
-            let ink = Ink {
-                veil,
-                solid_angle: piece.solid_angle,
-                radiance: piece.radiance,
-                tolerance: neighbor_tolerance(cluster.spread, piece.cosine),
-            };
-            let ink = self.ink(&ink, cluster.spread, toward);
+            let ink = self.ink(&piece_ink(cluster, piece, veil), cluster.spread, toward);
             self.raster.draw::<L, _>(&section, &ink, toward);
         }
     }
