@@ -6,7 +6,7 @@ use anyhow::{Context, Result, bail};
 use clap::Parser;
 use pbgi_benches::{ThreadTimer, bake, dice};
 use pbgi_cloud::{Surfel, SurfelFlags};
-use pbgi_image::{compare, read_environment};
+use pbgi_image::{RgbImage, compare, read_environment};
 use pbgi_light::{Environment, EnvironmentOptions, SkyParameters, synthetic_sky};
 use pbgi_math::Vec3;
 use pbgi_scene::{Camera, CameraView, HideOptions, Scene, hide, procedural_scene, read_scene};
@@ -37,6 +37,9 @@ struct Arguments {
     /// Curves besides `off` and `all`: terms of importance, alone.
     #[arg(long, value_delimiter = ' ', default_value = "env lobe cosine radiance quality")]
     terms: Vec<ImportanceTerms>,
+    /// Also measure how smoothly results change while environment and receivers move.
+    #[arg(long)]
+    motion: bool,
     /// Where to write the curves as JSON.
     #[arg(long)]
     json: Option<PathBuf>,
@@ -69,7 +72,7 @@ impl Quantity {
 /// A scene with light and receivers.
 struct Case {
     octree: Octree,
-    environment: Option<Environment>,
+    sky: Option<RgbImage>,
     receivers: Vec<Receiver>,
     quantity: Quantity,
     parts: GatherParts,
@@ -93,6 +96,32 @@ struct Curve {
     points: Vec<Point>,
 }
 
+/// How a curve is gathered.
+struct Way {
+    label: String,
+    importance: ImportanceTerms,
+    raster_edge: usize,
+    /// Whether peaks of the environment have windows of their own.
+    windows: bool,
+}
+
+impl Way {
+    fn of(importance: ImportanceTerms) -> Self {
+        let raster_edge = GatherSettings::default().raster_edge;
+        Self { label: importance.to_string(), importance, raster_edge, windows: true }
+    }
+
+    /// A uniform threshold and a uniform raster, as fine as there is one: no windows for the sun.
+    fn uniform() -> Self {
+        let label = format!("off, one raster of {RASTER_EDGE_MAX}");
+        let importance = ImportanceTerms::OFF;
+        Self { label, importance, raster_edge: RASTER_EDGE_MAX, windows: false }
+    }
+}
+
+/// Texels along a face of the finest raster.
+const RASTER_EDGE_MAX: usize = 64;
+
 /// Solid angles, from coarse to fine.
 fn widths() -> impl Iterator<Item = f32> {
     (0..26).map(|step| 1.0 * 0.5f32.powf(0.7 * step as f32))
@@ -115,17 +144,28 @@ impl Case {
         GatherSettings { parts: self.parts, ..GatherSettings::default() }
     }
 
-    /// Shadings with the microseconds and entries of the cut per receiver.
+    /// The environment turned about the vertical.
+    fn light(
+        &self,
+        rotate_degrees: f32,
+        windows: bool,
+        raster_edge: usize,
+    ) -> Result<Option<PreparedLight>> {
+        let Some(image) = &self.sky else { return Ok(None) };
+        let options =
+            EnvironmentOptions { rotate_degrees, peaks: windows, ..EnvironmentOptions::default() };
+        let environment = Environment::from_image(image.clone(), options)?;
+        Ok(Some(PreparedLight::for_reflections(&environment, raster_edge)))
+    }
+
+    /// Shadings with the microseconds and entries of the cut per receiver; the light fits the settings' raster.
     fn gather(
         &self,
         receivers: &[Receiver],
         settings: &GatherSettings,
+        light: Option<&PreparedLight>,
     ) -> Result<(Vec<Shading>, f64, f64)> {
-        let light = self
-            .environment
-            .as_ref()
-            .map(|e| PreparedLight::for_reflections(e, settings.raster_edge));
-        let mut gatherer = Gatherer::new(self.octree.reader(), settings, light.as_ref());
+        let mut gatherer = Gatherer::new(self.octree.reader(), settings, light);
         // The first receiver pays for pages and tables.
         gatherer.gather(&receivers[0])?;
         let (before, timer) = (gatherer.stats().cut_size(), ThreadTimer::start());
@@ -144,11 +184,15 @@ impl Case {
         }
     }
 
-    fn curve(&self, name: &str, terms: ImportanceTerms, truth: &[f32], slow: f64) -> Result<Curve> {
+    fn curve(&self, name: &str, way: &Way, truth: &[f32], slow: f64) -> Result<Curve> {
+        let &Way { importance, raster_edge, windows, .. } = way;
+        let light = self.light(0.0, windows, raster_edge)?;
         let mut points = Vec::new();
         for solid_angle_sr in widths() {
-            let settings = GatherSettings { solid_angle_sr, importance: terms, ..self.settings() };
-            let (shadings, microseconds, cut) = self.gather(&self.receivers, &settings)?;
+            let settings =
+                GatherSettings { solid_angle_sr, importance, raster_edge, ..self.settings() };
+            let (shadings, microseconds, cut) =
+                self.gather(&self.receivers, &settings, light.as_ref())?;
             let error = compare(&self.quantity.values(&shadings), truth)?;
             points.push(Point {
                 solid_angle_sr,
@@ -161,9 +205,63 @@ impl Case {
                 break;
             }
         }
-        Ok(Curve { case: name.to_owned(), importance: terms.to_string(), points })
+        Ok(Curve { case: name.to_owned(), importance: way.label.clone(), points })
+    }
+
+    /// What is compared, for every few receivers on their way, frame by frame.
+    fn frames(&self, settings: &GatherSettings) -> Result<Vec<Vec<f32>>> {
+        let frame = |step: usize| -> Result<Vec<f32>> {
+            let degrees = step as f32 * DEGREES_PER_FRAME;
+            let light = self.light(degrees, true, settings.raster_edge)?;
+            let mut gatherer = Gatherer::new(self.octree.reader(), settings, light.as_ref());
+            let moved = self.receivers.iter().step_by(MOVING_EVERY).map(|receiver| {
+                let slide = receiver.normal.any_orthonormal_vector();
+                let position = receiver.position + slide * (step as f32 * METERS_PER_FRAME);
+                Ok(gatherer.gather(&Receiver { position, ..*receiver })?)
+            });
+            Ok(self.quantity.values(&moved.collect::<Result<Vec<Shading>>>()?))
+        };
+        (0..FRAMES).map(frame).collect()
+    }
+
+    /// Prints by how much frames differ from the mean of those before and after them, beside the error of the cut.
+    fn print_motion(&self, name: &str) -> Result<()> {
+        let exhaustive = GatherSettings { solid_angle_sr: 0.0, ..self.settings() };
+        let (truth, found) = (self.frames(&exhaustive)?, self.frames(&self.settings())?);
+        let error = compare(&found.concat(), &truth.concat())?.rrmse;
+        let truth_sum: f64 = truth.iter().flatten().map(|x| f64::from(*x)).sum();
+        let mean = truth_sum / truth.iter().map(Vec::len).sum::<usize>() as f64;
+        for (label, frames) in [("every surfel", &truth), ("the cut", &found)] {
+            let bends = frames.windows(3).flat_map(|f| {
+                let bend = |i: usize| f64::from(0.5 * (f[0][i] + f[2][i]) - f[1][i]).abs() / mean;
+                (0..f[1].len()).map(bend).collect::<Vec<f64>>()
+            });
+            let (mut count, mut squares, mut largest) = (0.0, 0.0, 0f64);
+            for bend in bends {
+                (count, squares, largest) = (count + 1.0, squares + bend * bend, largest.max(bend));
+            }
+            println!(
+                "{name}: {FRAMES} frames of {label}: off the mean of their neighbors by {:.2} % rms, {:.2} % at most",
+                100.0 * f64::sqrt(squares / count),
+                100.0 * largest
+            );
+        }
+        println!("{name}: error of the cut in motion {:.2} %", 100.0 * error);
+        Ok(())
     }
 }
+
+/// Frames of a motion.
+const FRAMES: usize = 20;
+
+/// Turn of the environment between frames.
+const DEGREES_PER_FRAME: f32 = 0.2;
+
+/// Slide of the receivers between frames.
+const METERS_PER_FRAME: f32 = 0.005;
+
+/// Receivers that move: every so many.
+const MOVING_EVERY: usize = 4;
 
 impl Curve {
     /// Microseconds per receiver at an error, between the settings around it; none where no setting is as good.
@@ -225,10 +323,9 @@ fn fire(surfels: &mut Vec<Surfel>, around: Vec3, count: usize) {
 fn make_case(name: &str, arguments: &Arguments, folder: &Path) -> Result<Option<Case>> {
     let path = folder.join(format!("{name}.pbgi"));
     let wanted = arguments.receivers;
-    let sky = |sun_direction: Vec3| -> Result<Environment> {
+    let sky = |sun_direction: Vec3| {
         let parameters = SkyParameters { sun_direction, ..SkyParameters::default() };
-        let image = synthetic_sky(2048, 1024, &parameters);
-        Ok(Environment::from_image(image, EnvironmentOptions::default())?)
+        synthetic_sky(2048, 1024, &parameters)
     };
     let (quantity, parts) = (Quantity::Irradiance, GatherParts::All);
     Ok(Some(match name {
@@ -236,7 +333,7 @@ fn make_case(name: &str, arguments: &Arguments, folder: &Path) -> Result<Option<
             let made = procedural_scene("demo:street")?;
             let receivers = diffuse(seen(&made.scene, &made.scene.cameras[0], wanted)?);
             let octree = bake(&dice(&made.scene, arguments.surfels)?, &path)?;
-            Case { octree, environment: Some(sky(made.sun_direction)?), receivers, quantity, parts }
+            Case { octree, sky: Some(sky(made.sun_direction)), receivers, quantity, parts }
         }
         "fire30" | "fire10" | "fire05" => {
             let alpha: f32 = name[4..].parse::<f32>()? / 100.0;
@@ -272,7 +369,7 @@ fn make_case(name: &str, arguments: &Arguments, folder: &Path) -> Result<Option<
             fire(&mut surfels, middle, 30_000);
             let (quantity, parts) = (Quantity::Reflected, GatherParts::Sharp);
             let octree = bake(&surfels, &path)?;
-            Case { octree, environment: None, receivers, quantity, parts }
+            Case { octree, sky: None, receivers, quantity, parts }
         }
         "sponza-overcast" | "sponza-sunny" => {
             let mesh = arguments.data.join("sponza_crytek.glb");
@@ -286,16 +383,15 @@ fn make_case(name: &str, arguments: &Arguments, folder: &Path) -> Result<Option<
             let overcast = name == "sponza-overcast";
             let file = if overcast { "potsdamer_platz_1k.hdr" } else { "kloppenheim_05_1k.hdr" };
             let image = read_environment(&arguments.data.join(file))?;
-            let environment = Environment::from_image(image, EnvironmentOptions::default())?;
             let octree = bake(&dice(&scene, arguments.surfels)?, &path)?;
-            Case { octree, environment: Some(environment), receivers, quantity, parts }
+            Case { octree, sky: Some(image), receivers, quantity, parts }
         }
         "foliage" => {
             let made = procedural_scene("demo:foliage")?;
             let receivers = diffuse(seen(&made.scene, &made.scene.cameras[0], wanted)?);
             let octree = bake(&dice(&made.scene, arguments.surfels)?, &path)?;
             let quantity = Quantity::Occlusion;
-            Case { octree, environment: None, receivers, quantity, parts }
+            Case { octree, sky: None, receivers, quantity, parts }
         }
         _ => bail!("there is no case {name}; see --help"),
     }))
@@ -349,11 +445,13 @@ fn main() -> Result<()> {
             continue;
         };
         let exhaustive = GatherSettings { solid_angle_sr: 0.0, ..case.settings() };
-        let (truth, slow, cut) = case.gather(&case.receivers, &exhaustive)?;
+        let light = case.light(0.0, true, exhaustive.raster_edge)?;
+        let (truth, slow, cut) = case.gather(&case.receivers, &exhaustive, light.as_ref())?;
         let finer = GatherSettings { raster_edge: 16, lobe_level: 3, ..exhaustive };
         let some: Vec<Receiver> = case.receivers.iter().copied().step_by(FINER_EVERY).collect();
         let coarser: Vec<Shading> = truth.iter().copied().step_by(FINER_EVERY).collect();
-        let finer = case.gather(&some, &finer)?.0;
+        let light = case.light(0.0, true, finer.raster_edge)?;
+        let finer = case.gather(&some, &finer, light.as_ref())?.0;
         let raster = compare(&case.quantity.values(&coarser), &case.quantity.values(&finer))?;
         let truth = case.quantity.values(&truth);
         println!(
@@ -361,15 +459,22 @@ fn main() -> Result<()> {
             case.receivers.len(),
             raster.rrmse * 100.0
         );
-        let terms = std::iter::once(ImportanceTerms::OFF)
+        let uniform = case.sky.is_some().then(Way::uniform);
+        let ways = std::iter::once(ImportanceTerms::OFF)
             .chain(arguments.terms.iter().copied())
-            .chain([ImportanceTerms::ALL]);
-        let curves: Result<Vec<Curve>> = terms.map(|t| case.curve(name, t, &truth, slow)).collect();
+            .chain([ImportanceTerms::ALL])
+            .map(Way::of)
+            .chain(uniform);
+        let curves: Result<Vec<Curve>> =
+            ways.map(|way| case.curve(name, &way, &truth, slow)).collect();
         let curves = curves.with_context(|| format!("case {name}"))?;
         if !arguments.brief {
             print_curves(&curves);
         }
         print_ratios(name, &curves);
+        if arguments.motion {
+            case.print_motion(name)?;
+        }
         all.extend(curves);
     }
     if let Some(path) = &arguments.json {
