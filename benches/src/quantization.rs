@@ -36,6 +36,9 @@ struct Arguments {
     /// Texels along a face of the raster: coarse ones scatter more than rounding does.
     #[arg(long, default_value_t = 24)]
     raster: usize,
+    /// As many receivers on each surfel, however small: most lie on fine details then.
+    #[arg(long)]
+    by_surfel: bool,
     /// Leave the surfels dark, which saves most of the time: only occlusion is compared.
     #[arg(long)]
     dark: bool,
@@ -61,9 +64,9 @@ struct Row {
     of_cut: f64,
 }
 
-/// Receivers strewn by area over surfels that know their rectangle, anywhere on it.
-fn strew(surfels: &[Surfel], count: usize, seed: u64) -> Result<Vec<Receiver>> {
-    let mut state = seed;
+/// Receivers strewn over surfels that know their rectangle, anywhere on it: by area, or on each as many.
+fn strew(surfels: &[Surfel], arguments: &Arguments) -> Result<Vec<Receiver>> {
+    let mut state = arguments.seed;
     let mut next = || {
         state =
             state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -78,7 +81,7 @@ fn strew(surfels: &[Surfel], count: usize, seed: u64) -> Result<Vec<Receiver>> {
     let ends: Vec<f64> = places
         .iter()
         .map(|(surfel, _)| {
-            total += f64::from(surfel.area);
+            total += if arguments.by_surfel { 1.0 } else { f64::from(surfel.area) };
             total
         })
         .collect();
@@ -89,7 +92,7 @@ fn strew(surfels: &[Surfel], count: usize, seed: u64) -> Result<Vec<Receiver>> {
         let offset = long * (2.0 * next() - 1.0) + short * (2.0 * next() - 1.0);
         Receiver::diffuse(surfel.center() + offset, surfel.normal())
     };
-    Ok((0..count).map(receiver).collect())
+    Ok((0..arguments.receivers).map(receiver).collect())
 }
 
 fn gather(
@@ -112,7 +115,7 @@ const QUANTITIES: [(&str, Values); 2] = [
 /// All errors of a scene.
 fn measure(scene: &str, surfels: &[Surfel], arguments: &Arguments) -> Result<Vec<Row>> {
     let folder = tempfile::tempdir()?;
-    let receivers = strew(surfels, arguments.receivers, arguments.seed)?;
+    let receivers = strew(surfels, arguments)?;
     let every = GatherSettings {
         solid_angle_sr: 0.0,
         importance: ImportanceTerms::OFF,

@@ -20,8 +20,8 @@ pub const EDGES: [(&str, &[&str]); 15] = [
     (
         "pbgi",
         &[
-            "build", "cloud", "cut", "format", "image", "light", "math", "scene", "schedule",
-            "sort", "store",
+            "build", "cloud", "format", "image", "light", "math", "scene", "schedule", "sort",
+            "store",
         ],
     ),
     ("testkit", &["cloud", "math"]),

@@ -11,8 +11,10 @@ pub struct Workspace {
 impl Workspace {
     /// The folder above this package.
     pub fn find() -> Result<Self, String> {
-        let package = Path::new(env!("CARGO_MANIFEST_DIR"));
-        let root = package.parent().ok_or("xtask lies in no workspace")?;
+        // Cargo tells which workspace it runs for; one that was built elsewhere may be gone.
+        let package = std::env::var_os("CARGO_MANIFEST_DIR");
+        let package = package.unwrap_or_else(|| env!("CARGO_MANIFEST_DIR").into());
+        let root = Path::new(&package).parent().ok_or("xtask lies in no workspace")?;
         Ok(Self { root: root.to_owned() })
     }
 
