@@ -33,10 +33,10 @@ fn a_glowing_room_is_a_geometric_series() {
     let room = Material { base_color: [0.5; 3], emission: [2.0; 3], ..Material::default() };
     let scene = cube(room);
     let caster = Caster::new(&scene, None);
-    let found = caster.gather(Vec3::new(0.3, -1.0, 0.2), Vec3::Y, 3, 4096, 1);
+    let found = caster.gather(Vec3::new(0.3, -1.0, 0.2), Vec3::Y, 3, 1 << 14, 1);
     for (bounce, irradiance) in found.irradiance.iter().enumerate() {
         let expected = f64::from(2.0 * PI) * 0.5f64.powi(bounce as i32);
-        assert!((irradiance[1] / expected - 1.0).abs() < 5e-3, "{bounce}: {irradiance:?}");
+        assert!((irradiance[1] / expected - 1.0).abs() < 1e-2, "{bounce}: {irradiance:?}");
     }
     assert_eq!(found.openness, 0.0);
 }
