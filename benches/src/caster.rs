@@ -13,8 +13,12 @@ use pbgi_scene::{Material, Scene, Texture};
 use std::f32::consts::{PI, TAU};
 use std::time::Duration;
 
-/// Distance, as a share of the largest coordinate of a scene, by which rays start above their surface.
+/// Distance by which rays start above a place, as a share of its largest coordinate: some hundred times what coordinates are off by.
 const OFFSET_SHARE: f32 = 2e-5;
+
+/// More of it, as a share of the largest coordinate of all: a ray meets a triangle that reaches so far no better. Little, lest
+/// a plain out to the horizon lift rays over window sills.
+const OFFSET_SHARE_OF_REACH: f32 = 2e-7;
 
 /// Dimensions of the sequence that one vertex of a path takes: direction, pixel, triangle, place on it.
 const DIMENSIONS: u32 = 8;
@@ -71,7 +75,8 @@ pub struct Caster<'a> {
     triangles: Vec<Triangle>,
     faces: Vec<Face>,
     tree: CwBvh,
-    offset: f32,
+    /// Largest coordinate.
+    reach: f32,
     emitters: Option<EmitterSampler>,
     sky: Option<EnvironmentSampler<'a>>,
 }
@@ -107,8 +112,7 @@ impl<'a> Caster<'a> {
         );
         let emitters = EmitterSampler::new(&powers);
         let sky = sky.and_then(EnvironmentSampler::new);
-        let offset = reach * OFFSET_SHARE;
-        Self { scene, triangles, faces, tree, offset, emitters, sky }
+        Self { scene, triangles, faces, tree, reach, emitters, sky }
     }
 
     fn material(&self, face: &Face) -> &'a Material {
@@ -164,6 +168,15 @@ impl<'a> Caster<'a> {
             is_front: from_front || self.material(face).double_sided,
             place: self.place(&ray, triangle, hit.t),
         })
+    }
+
+    fn offset(&self, place: Vec3) -> f32 {
+        OFFSET_SHARE * place.abs().max_element() + OFFSET_SHARE_OF_REACH * self.reach
+    }
+
+    /// Where rays from a place of a surface start.
+    fn above(&self, place: Vec3, normal: Vec3) -> Vec3 {
+        place + normal * self.offset(place)
     }
 
     /// Whether nothing lies along a direction before `distance`.
@@ -234,7 +247,8 @@ impl<'a> Caster<'a> {
                 let mut light = self.sample_sky(position, normal, &random);
                 add(&mut light, self.sample_emitters(position, normal, &random));
                 let direction = cosine_direction(normal, random(0), random(1));
-                let hit = self.cast(position + normal * self.offset, direction);
+                let start = self.above(position, normal);
+                let hit = self.cast(start, direction);
                 add(&mut light, self.arriving(hit.as_ref(), normal, direction));
                 for c in 0..3 {
                     sums[bounce as usize][c] += f64::from(throughput[c] * light[c]);
@@ -246,7 +260,7 @@ impl<'a> Caster<'a> {
                 if throughput == [0.0; 3] {
                     break;
                 }
-                position += normal * self.offset + direction * hit.distance;
+                position = start + direction * hit.distance;
                 normal = hit.normal;
             }
         }
@@ -271,7 +285,7 @@ impl<'a> Caster<'a> {
         let Some(sky) = &self.sky else { return [0.0; 3] };
         let sample = sky.sample([random(2), random(3)]);
         let cosine = normal.dot(sample.direction);
-        let start = position + normal * self.offset;
+        let start = self.above(position, normal);
         if cosine <= 0.0 || !self.is_open(start, sample.direction, f32::INFINITY) {
             return [0.0; 3];
         }
@@ -292,7 +306,7 @@ impl<'a> Caster<'a> {
         let place = Vec3::new(1.0 - root, root * (1.0 - v), root * v);
         let Triangle { v0, v1, v2 } = self.triangles[triangle];
         let target = Vec3::from(v0 * place.x + v1 * place.y + v2 * place.z);
-        let start = position + normal * self.offset;
+        let start = self.above(position, normal);
         let way = target - start;
         let distance = way.length();
         let direction = way / distance;
@@ -306,7 +320,7 @@ impl<'a> Caster<'a> {
             place,
         };
         let (cosine, light) = (normal.dot(direction), self.emission(&hit));
-        let before = distance - 2.0 * self.offset;
+        let before = distance - 2.0 * self.offset(target);
         if cosine <= 0.0 || light == [0.0; 3] || !self.is_open(start, direction, before) {
             return [0.0; 3];
         }
@@ -327,7 +341,7 @@ impl<'a> Caster<'a> {
         seed: u32,
     ) -> [f32; 3] {
         let frame = Frame::from_normal(normal);
-        let start = position + normal * self.offset;
+        let start = self.above(position, normal);
         let mut sum = [0f64; 3];
         for index in 0..samples {
             let random = |dimension| sobol_burley::sample(index, dimension, seed);

@@ -13,11 +13,18 @@ const OWN_SURFACE_RADII: f32 = 2.0;
 /// Cosine between normals above which a near disk counts as the receiver's own surface.
 const OWN_SURFACE_COSINE: f32 = 0.7;
 
+/// Share of its radius by which the receiver must lie behind a disk and that above the receiver's tangent plane for the two to be of
+/// different surfaces, like slats: where a surface bulges its neighbors lie below, where it is hollow they are seen from the front, and
+/// where it is rough or scanned with noise they are near the plane.
+const OTHER_SURFACE_HEIGHT: f32 = 0.25;
+
 /// Least distance at which a disk is hit, so that a surface does not shadow itself.
 #[inline(always)]
 pub(crate) fn least_distance(surfel: &LeafSurfel, normal: Vec3) -> f32 {
-    let own = !surfel.isotropic && surfel.normal.dot(normal) > OWN_SURFACE_COSINE;
-    if own { OWN_SURFACE_RADII * surfel.radius } else { 0.0 }
+    let is_alike = !surfel.isotropic && surfel.normal.dot(normal) > OWN_SURFACE_COSINE;
+    let (height, depth) = (normal.dot(surfel.center), surfel.normal.dot(surfel.center));
+    let is_other = height.min(depth) > OTHER_SURFACE_HEIGHT * surfel.radius;
+    if is_alike && !is_other { OWN_SURFACE_RADII * surfel.radius } else { 0.0 }
 }
 
 /// Radius of a solid surfel's disk over that of the disk of its area: covers a square lattice. Surfels at the edges of boxes and
