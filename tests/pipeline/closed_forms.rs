@@ -76,13 +76,13 @@ fn receivers_on_the_walls_of_a_closed_room_see_all_of_it() {
 }
 
 /// A lattice of 24 × 24 squares around the foot of the origin on a plane, facing `normal` at `height`.
-fn sheet(normal: Vec3, height: f32, step: f32) -> impl Iterator<Item = Surfel> {
+fn sheet(normal: Vec3, height: f32, step: f32, flags: SurfelFlags) -> impl Iterator<Item = Surfel> {
     let place = move |i: i32| (i as f32 - 11.5) * step;
     let centers = (0..24 * 24).map(move |i| Vec3::new(place(i % 24), height, place(i / 24)));
     let radius = step * std::f32::consts::FRAC_1_SQRT_2;
     centers.map(move |center| {
         let surfel = Surfel::new(center, normal, radius, step * step);
-        surfel.with_flags(SurfelFlags::FRONT_ONLY).with_tile(Vec3::X, 1.0)
+        surfel.with_flags(flags).with_tile(Vec3::X, 1.0)
     })
 }
 
@@ -94,7 +94,7 @@ fn a_leaf_close_above_another_hides_its_sky() {
     let mut surfels = Vec::new();
     for height in [0.0, 0.1 * step] {
         for normal in [Vec3::Y, Vec3::NEG_Y] {
-            surfels.extend(sheet(normal, height, step));
+            surfels.extend(sheet(normal, height, step, SurfelFlags::FRONT_ONLY));
         }
     }
     let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
@@ -106,6 +106,23 @@ fn a_leaf_close_above_another_hides_its_sky() {
         let above = gather(&octree, &settings, above);
         assert!(above.ambient_occlusion > 0.999, "{place}: {}", above.ambient_occlusion);
     }
+}
+
+/// Slats that face the same way hide each other, though they are nearer to each other than their surfels are wide.
+#[test]
+fn slats_hide_what_lies_behind_them() {
+    let step = 0.02;
+    let solid = SurfelFlags::default();
+    let slats = [0.0, 0.5 * step].map(|height| sheet(Vec3::Y, height, step, solid));
+    let surfels: Vec<Surfel> = slats.into_iter().flatten().collect();
+    let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
+    let settings = GatherSettings { solid_angle_sr: 0.0, ..GatherSettings::default() };
+    let openness = |height: f32| {
+        let receiver = Receiver::diffuse(Vec3::new(0.013, height, -0.031), Vec3::Y);
+        gather(&octree, &settings, receiver).ambient_occlusion
+    };
+    assert!(openness(0.0) < 0.05, "{}", openness(0.0));
+    assert!(openness(0.5 * step) > 0.999, "{}", openness(0.5 * step));
 }
 
 /// With a zero threshold the gather is that of rays against the disks, up to the raster's resolution.

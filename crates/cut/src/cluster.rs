@@ -60,7 +60,7 @@ const FLAT_WIDTH: f32 = 0.25;
 
 /// Fill from which on a flat lobe of a solid thing is drawn whole: what is missing lies at the rim of an area that
 /// was found by dicing, or is where a curved surface bends away.
-const SOLID_WHOLE: f32 = 0.75;
+const SOLID_WHOLE: f32 = 0.9;
 
 /// The same for sheets, which have holes.
 const SHEET_WHOLE: f32 = 0.95;
