@@ -1,18 +1,17 @@
 //! Decoded pages under a budget: a [`Policy`] says which go, pinned ones never do.
 
 use crate::policy::{Lirs, Policy};
+use crate::region::{Buffer, Region, SharedRegion, reserved_bytes};
 use crate::stats::CacheStats;
 use crate::sync::{Arc, Condvar, Mutex, MutexGuard};
 use pbgi_format::PageId;
 use std::sync::PoisonError;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 /// A decoded, verified page. Held in memory as long as anyone holds a [`PageRef`] to it.
 #[derive(Debug)]
 pub struct Page {
-    bytes: Box<[u8]>,
-    held: Arc<AtomicU64>,
+    buffer: Buffer,
 }
 
 impl Page {
@@ -20,13 +19,7 @@ impl Page {
     #[must_use]
     #[inline(always)]
     pub fn bytes(&self) -> &[u8] {
-        &self.bytes
-    }
-}
-
-impl Drop for Page {
-    fn drop(&mut self) {
-        self.held.fetch_sub(self.bytes.len() as u64, Ordering::Relaxed);
+        self.buffer.bytes()
     }
 }
 
@@ -55,8 +48,6 @@ impl Slot {
 struct State {
     slots: Vec<Slot>,
     policy: ChosenPolicy,
-    /// Bytes of pages in slots or being loaded.
-    bytes: u64,
     /// Whether each page was ever read.
     seen: Vec<bool>,
     stats: CacheStats,
@@ -69,8 +60,9 @@ type ChosenPolicy = Lirs;
 pub(crate) enum Lookup {
     /// The page is here.
     Found(PageRef),
-    /// The caller must load it and call [`Cache::insert`], [`Cache::abandon`] or [`Cache::leave_out`]; room is made.
-    Load,
+    /// The caller must load it into this buffer and call [`Cache::insert`], or drop the buffer and call [`Cache::abandon`] or
+    /// [`Cache::leave_out`].
+    Load(Buffer),
     /// The page is damaged and left out.
     LeftOut,
 }
@@ -78,7 +70,7 @@ pub(crate) enum Lookup {
 /// A page that has been read.
 pub(crate) struct LoadedPage {
     /// Its decoded bytes.
-    pub bytes: Box<[u8]>,
+    pub buffer: Buffer,
     /// Bytes read for it.
     pub stored_bytes: u32,
     /// Time reading, checking and decoding took.
@@ -89,24 +81,29 @@ pub(crate) struct LoadedPage {
 pub(crate) struct Cache {
     state: Mutex<State>,
     loaded: Condvar,
-    budget_bytes: u64,
-    held: Arc<AtomicU64>,
+    region: SharedRegion,
 }
 
 impl Cache {
-    pub fn new(page_count: usize, budget_bytes: u64) -> Self {
-        Self {
+    /// A cache of `budget_bytes` at most for pages of these decoded bytes.
+    ///
+    /// # Errors
+    ///
+    /// If the system refuses the address space.
+    pub fn new(decoded_bytes: &[u32], budget_bytes: u64) -> std::io::Result<Self> {
+        let page_count = decoded_bytes.len();
+        let all_bytes = decoded_bytes.iter().map(|&bytes| reserved_bytes(bytes)).sum();
+        let region = Region::new(budget_bytes.min(all_bytes))?;
+        Ok(Self {
             state: Mutex::new(State {
                 slots: (0..page_count).map(|_| Slot::Absent).collect(),
                 policy: ChosenPolicy::new(page_count, budget_bytes),
-                bytes: 0,
                 seen: vec![false; page_count],
                 stats: CacheStats::default(),
             }),
             loaded: Condvar::new(),
-            budget_bytes,
-            held: Arc::new(AtomicU64::new(0)),
-        }
+            region,
+        })
     }
 
     /// Bytes the cache itself takes per page of the file, whether in memory or not.
@@ -117,8 +114,7 @@ impl Cache {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The page, or the duty to load it. Waits while another thread loads it. `decoded_bytes` is accounted for before this returns
-    /// [`Lookup::Load`].
+    /// The page, or the duty to load it, with room for its `decoded_bytes`. Waits while another thread loads it.
     pub fn get(&self, id: PageId, decoded_bytes: u32) -> Lookup {
         let index = id.0 as usize;
         let mut state = self.lock();
@@ -142,11 +138,12 @@ impl Cache {
                     return Lookup::LeftOut;
                 }
                 Slot::Absent => {
-                    state.make_room(u64::from(decoded_bytes), self.budget_bytes);
-                    state.bytes += u64::from(decoded_bytes);
+                    let buffer = state.make_room(decoded_bytes as usize, &self.region);
+                    let held = &mut state.stats.held_bytes_max;
+                    *held = self.region.held_bytes().max(*held);
                     state.slots[index] = Slot::Loading;
                     state.add_wait(waited);
-                    return Lookup::Load;
+                    return Lookup::Load(buffer);
                 }
             }
         }
@@ -154,33 +151,29 @@ impl Cache {
 
     /// Completes a load.
     pub fn insert(&self, id: PageId, loaded: LoadedPage) -> PageRef {
-        let LoadedPage { bytes, stored_bytes, read_ns } = loaded;
-        let length = bytes.len() as u64;
-        let held = self.held.fetch_add(length, Ordering::Relaxed) + length;
-        let page = Arc::new(Page { bytes, held: self.held.clone() });
+        let LoadedPage { buffer, stored_bytes, read_ns } = loaded;
+        let bytes = reserved_bytes(buffer.bytes().len() as u32) as u32;
+        let page = Arc::new(Page { buffer });
         let mut state = self.lock();
         state.count_read(id, stored_bytes, read_ns);
-        state.stats.held_bytes_max = state.stats.held_bytes_max.max(held);
         state.slots[id.0 as usize] = Slot::Present(page.clone());
-        state.policy.insert(id.0, length as u32);
+        state.policy.insert(id.0, bytes);
         self.loaded.notify_all();
         page
     }
 
     /// Gives a load up after an error; the next reader tries again.
-    pub fn abandon(&self, id: PageId, decoded_bytes: u32) {
-        self.give_up(id, decoded_bytes, Slot::Absent);
+    pub fn abandon(&self, id: PageId) {
+        self.give_up(id, Slot::Absent);
     }
 
     /// Gives a load up for good: the page is damaged, and no reader will get it.
-    pub fn leave_out(&self, id: PageId, decoded_bytes: u32) {
-        self.give_up(id, decoded_bytes, Slot::Damaged);
+    pub fn leave_out(&self, id: PageId) {
+        self.give_up(id, Slot::Damaged);
     }
 
-    fn give_up(&self, id: PageId, decoded_bytes: u32, slot: Slot) {
-        let mut state = self.lock();
-        state.slots[id.0 as usize] = slot;
-        state.bytes -= u64::from(decoded_bytes);
+    fn give_up(&self, id: PageId, slot: Slot) {
+        self.lock().slots[id.0 as usize] = slot;
         self.loaded.notify_all();
     }
 
@@ -210,22 +203,19 @@ impl Cache {
     #[cfg(test)]
     pub fn validate(&self) {
         let state = self.lock();
-        let (mut bytes, mut present, mut loading) = (0, 0, 0);
+        let (mut bytes, mut present) = (0, 0);
         for slot in &state.slots {
             match slot {
                 Slot::Present(page) => {
-                    bytes += page.bytes.len() as u64;
+                    bytes += reserved_bytes(page.bytes().len() as u32);
                     present += 1;
                 }
-                Slot::Loading => loading += 1,
-                Slot::Absent | Slot::Damaged => {}
+                Slot::Absent | Slot::Loading | Slot::Damaged => {}
             }
         }
         assert_eq!(state.policy.len(), present, "the policy knows what is there");
-        assert!(bytes <= state.bytes, "{bytes} of {}", state.bytes);
-        assert!(loading > 0 || bytes == state.bytes, "{bytes} of {}", state.bytes);
-        let held = self.held.load(Ordering::Relaxed);
-        assert!(bytes <= held || loading > 0, "{bytes} in slots, {held} held");
+        let held = self.region.held_bytes();
+        assert!(bytes <= held, "{bytes} in slots, {held} held");
         let stats = &state.stats;
         assert_eq!(stats.pages_read, stats.distinct_pages + stats.rereads);
         assert_eq!(stats.pages_read, present as u64 + stats.evictions);
@@ -256,17 +246,19 @@ impl State {
         }
     }
 
-    /// Drops unpinned pages until `bytes` more fit. Where pins leave too little, the page is admitted all the same: `Octree::open`
-    /// made sure that the budget holds what all readers may pin.
-    fn make_room(&mut self, bytes: u64, budget_bytes: u64) {
-        while self.bytes + bytes > budget_bytes {
+    /// A buffer of so many bytes, for which unpinned pages are dropped until there is a gap for it. Where pins leave none, it lies
+    /// past the budget: `Octree::open` made sure that the budget holds what all readers may pin, so that this is rare and small.
+    fn make_room(&mut self, bytes: usize, region: &SharedRegion) -> Buffer {
+        loop {
+            if let Some(buffer) = region.reserve(bytes) {
+                return buffer;
+            }
             let slots = &self.slots;
             let is_pinned = &mut |page: u32| slots[page as usize].is_pinned();
-            let Some(page) = self.policy.evict(is_pinned) else { break };
-            let slot = std::mem::replace(&mut self.slots[page as usize], Slot::Absent);
-            if let Slot::Present(page) = slot {
-                self.bytes -= page.bytes.len() as u64;
-            }
+            let Some(page) = self.policy.evict(is_pinned) else {
+                return region.reserve_past(bytes);
+            };
+            self.slots[page as usize] = Slot::Absent;
             self.stats.evictions += 1;
         }
     }

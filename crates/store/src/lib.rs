@@ -7,6 +7,7 @@ mod cache;
 mod error;
 mod octree;
 pub mod policy;
+mod region;
 mod source;
 mod stats;
 mod sync;

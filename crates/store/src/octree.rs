@@ -115,10 +115,15 @@ impl Octree {
         // Readers' own pins save asking the cache, yet what they hold is not what it would hold: they take a small share of what
         // is left beyond the ways down.
         let spare = (cache_bytes - needed) / 16 / options.readers.max(1) as u64 / largest.max(1);
+        let decoded_bytes: Vec<u32> = table.iter().map(|entry| entry.decoded_bytes).collect();
+        let cache = Cache::new(&decoded_bytes, cache_bytes).map_err(|source| {
+            let action = "reserving memory for its pages";
+            StoreError::Io { path: path.to_owned(), action, source }
+        })?;
         Ok(Self {
             path: path.to_owned(),
             header,
-            cache: Cache::new(table.len(), cache_bytes),
+            cache,
             table,
             source,
             opened,
@@ -215,40 +220,62 @@ impl Octree {
     /// pages.
     fn load_page(&self, id: PageId, skips: bool) -> Result<Option<(PageRef, u32)>, StoreError> {
         let entry = self.entry(id)?;
-        match self.cache.get(id, entry.decoded_bytes) {
+        let mut buffer = match self.cache.get(id, entry.decoded_bytes) {
             Lookup::Found(page) => return Ok(Some((page, 0))),
             Lookup::LeftOut if skips => return Ok(None),
             // Read again for the error alone.
             Lookup::LeftOut => return self.read_page(id, entry).map(|_| None),
-            Lookup::Load => {}
-        }
+            Lookup::Load(buffer) => buffer,
+        };
         let start = std::time::Instant::now();
-        match self.read_page(id, entry) {
-            Ok(bytes) => {
+        let result = self.read_page_into(id, entry, buffer.bytes_mut());
+        match result {
+            Ok(()) => {
                 let read_ns = start.elapsed().as_nanos() as u64;
                 let stored_bytes = entry.stored_bytes;
-                let page = self.cache.insert(id, LoadedPage { bytes, stored_bytes, read_ns });
+                let page = self.cache.insert(id, LoadedPage { buffer, stored_bytes, read_ns });
                 Ok(Some((page, stored_bytes)))
             }
-            Err(error) if skips && error.is_damaged_page() => {
-                self.cache.leave_out(id, entry.decoded_bytes);
-                Ok(None)
-            }
             Err(error) => {
-                self.cache.abandon(id, entry.decoded_bytes);
+                drop(buffer);
+                if skips && error.is_damaged_page() {
+                    self.cache.leave_out(id);
+                    return Ok(None);
+                }
+                self.cache.abandon(id);
                 Err(error)
             }
         }
     }
 
     /// Reads, verifies and decodes a page, past the cache.
-    pub(crate) fn read_page(&self, id: PageId, entry: &PageEntry) -> Result<Box<[u8]>, StoreError> {
-        let mut stored = vec![0; entry.stored_bytes as usize].into_boxed_slice();
-        self.source.read_at(entry.offset, &mut stored).map_err(|source| {
-            let path = self.path.clone();
-            self.explain(StoreError::Unreadable { path, page: id, source }, id)
-        })?;
-        Ok(self.decode_page(id, entry, &stored)?.unwrap_or(stored))
+    pub(crate) fn read_page(&self, id: PageId, entry: &PageEntry) -> Result<Vec<u8>, StoreError> {
+        let mut bytes = vec![0; entry.decoded_bytes as usize];
+        self.read_page_into(id, entry, &mut bytes)?;
+        Ok(bytes)
+    }
+
+    /// Reads, verifies and decodes a page into `out`, as long as the page is once decoded.
+    fn read_page_into(
+        &self,
+        id: PageId,
+        entry: &PageEntry,
+        out: &mut [u8],
+    ) -> Result<(), StoreError> {
+        let read = |out: &mut [u8]| {
+            self.source.read_at(entry.offset, out).map_err(|source| {
+                let path = self.path.clone();
+                self.explain(StoreError::Unreadable { path, page: id, source }, id)
+            })
+        };
+        if entry.is_compressed() {
+            let mut stored = vec![0; entry.stored_bytes as usize];
+            read(&mut stored)?;
+            self.decode_page(id, entry, &stored, out)
+        } else {
+            read(out)?;
+            self.check_page(id, entry, out)
+        }
     }
 
     /// Reads stored bytes of neighboring pages.
@@ -256,40 +283,50 @@ impl Octree {
         self.source.read_at(offset, out)
     }
 
-    /// Verifies the stored bytes of a page, and decodes them where they are not what they mean.
+    /// Verifies the stored bytes of a page that is not compressed.
+    pub(crate) fn check_page(
+        &self,
+        id: PageId,
+        entry: &PageEntry,
+        stored: &[u8],
+    ) -> Result<(), StoreError> {
+        self.check_stored(id, entry, stored)?;
+        self.check_decoded(id, entry, stored)
+    }
+
+    /// Verifies the stored bytes of a compressed page and decodes them into `out`.
     pub(crate) fn decode_page(
         &self,
         id: PageId,
         entry: &PageEntry,
         stored: &[u8],
-    ) -> Result<Option<Box<[u8]>>, StoreError> {
+        out: &mut [u8],
+    ) -> Result<(), StoreError> {
+        self.check_stored(id, entry, stored)?;
+        let found = match lz4_flex::block::decompress_into(stored, out) {
+            Ok(length) if length == out.len() => return self.check_decoded(id, entry, out),
+            Ok(length) => format!("{length} bytes"),
+            Err(error) => error.to_string(),
+        };
+        let expected = format!("{} bytes", out.len());
+        Err(self.invalid_page(id, FormatError { place: "LZ4 data", found, expected }))
+    }
+
+    fn check_stored(&self, id: PageId, entry: &PageEntry, stored: &[u8]) -> Result<(), StoreError> {
         let found = page_checksum(stored);
-        if found != entry.checksum {
-            let (path, expected) = (self.path.clone(), entry.checksum);
-            let error = StoreError::Damaged { path, page: id, found, expected };
-            return Err(self.explain(error, id));
+        if found == entry.checksum {
+            return Ok(());
         }
-        let invalid =
-            |source| StoreError::InvalidPage { path: self.path.clone(), page: id, source };
-        let mut decoded = None;
-        if entry.is_compressed() {
-            let length = entry.decoded_bytes as usize;
-            let bytes = lz4_flex::block::decompress(stored, length).map_err(|error| {
-                invalid(FormatError {
-                    place: "LZ4 data",
-                    found: error.to_string(),
-                    expected: format!("{length} bytes"),
-                })
-            })?;
-            decoded = Some(bytes.into_boxed_slice());
-        }
-        let bytes = decoded.as_deref().unwrap_or(stored);
+        let (path, expected) = (self.path.clone(), entry.checksum);
+        Err(self.explain(StoreError::Damaged { path, page: id, found, expected }, id))
+    }
+
+    fn check_decoded(&self, id: PageId, entry: &PageEntry, bytes: &[u8]) -> Result<(), StoreError> {
         let checked = match entry.kind {
             PageKind::Nodes => NodePage::new(bytes, id).map(drop),
             PageKind::Surfels => SurfelPage::new(bytes).map(drop),
         };
-        checked.map_err(invalid)?;
-        Ok(decoded)
+        checked.map_err(|source| self.invalid_page(id, source))
     }
 
     /// `error`, unless the file was written to since it was opened, which explains any damage.

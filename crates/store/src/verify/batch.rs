@@ -77,10 +77,16 @@ pub(super) fn check(
             true => {
                 let start = (entry.offset - first.offset) as usize;
                 let stored = &buffer[start..start + entry.stored_bytes as usize];
-                let decoded = octree.decode_page(id, entry, stored)?;
-                decoded.map_or(Cow::Borrowed(stored), |bytes| Cow::Owned(bytes.into_vec()))
+                if entry.is_compressed() {
+                    let mut decoded = vec![0; entry.decoded_bytes as usize];
+                    octree.decode_page(id, entry, stored, &mut decoded)?;
+                    Cow::Owned(decoded)
+                } else {
+                    octree.check_page(id, entry, stored)?;
+                    Cow::Borrowed(stored)
+                }
             }
-            false => Cow::Owned(octree.read_page(id, entry)?.into_vec()),
+            false => Cow::Owned(octree.read_page(id, entry)?),
         };
         facts.bytes_read += u64::from(entry.stored_bytes);
         count(&mut facts.page_sizes, entry.decoded_bytes as usize / 4096);
@@ -109,5 +115,5 @@ pub(super) fn take_surfels<'b>(
     if entry.kind != PageKind::Surfels {
         return Err(octree.invalid(owner, "surfel page: kind", "nodes", "surfels"));
     }
-    Ok(Cow::Owned(octree.read_page(id, entry)?.into_vec()))
+    Ok(Cow::Owned(octree.read_page(id, entry)?))
 }
