@@ -56,6 +56,9 @@ struct State {
 /// The policy that measured best (`docs/measuring.md`).
 type ChosenPolicy = Lirs;
 
+/// Tenths of a full region that pages fill; the rest are gaps.
+const FILLED_TENTHS: u64 = 9;
+
 /// What [`Cache::get`] found.
 pub(crate) enum Lookup {
     /// The page is here.
@@ -97,7 +100,7 @@ impl Cache {
         Ok(Self {
             state: Mutex::new(State {
                 slots: (0..page_count).map(|_| Slot::Absent).collect(),
-                policy: ChosenPolicy::new(page_count, budget_bytes),
+                policy: ChosenPolicy::new(page_count, budget_bytes / 10 * FILLED_TENTHS),
                 seen: vec![false; page_count],
                 stats: CacheStats::default(),
             }),

@@ -4,7 +4,7 @@ use super::*;
 use shuttle::thread;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Bytes of a page: one block.
+/// Bytes of a page: whole blocks.
 const BYTES: usize = 4096;
 
 /// Runs `test` once, with threads that take turns.
