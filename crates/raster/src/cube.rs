@@ -2,7 +2,7 @@
 
 use crate::footprint::project_box;
 use crate::lanes::{Lanes, SAMPLES};
-use crate::samples::{Veil, place, sample_near};
+use crate::samples::{Veil, offset_sum, place, sample_near};
 use crate::shape::Shape;
 use crate::table::{CubeRasterTable, LANES};
 use crate::texel_light::TexelLight;
@@ -36,7 +36,10 @@ pub struct Ink {
 pub struct TexelChunk {
     /// Share of each texel, above the horizon, that surfaces cover.
     pub covered: [f32; LANES],
-    /// Radiance of the surfaces, weighted by the share of the texel they show.
+    /// How far the middle of what is open lies from the middle of what is above the horizon, along u and v, in halves of a texel;
+    /// times the open share of the whole texel.
+    pub open_offset: [[f32; LANES]; 2],
+    /// Radiance of the surfaces, weighted by the share of the texel they show, and by the cosine where they show it over the texel's mean.
     pub radiance: [[f32; LANES]; 3],
 }
 
@@ -73,6 +76,84 @@ struct Texel {
     above: u16,
 }
 
+impl Texel {
+    /// [`TexelChunk::open_offset`] of one texel.
+    #[inline(always)]
+    fn open_offset(&self) -> [f32; 2] {
+        let open = !self.covered;
+        if open == 0 || open == self.above {
+            return [0.0; 2];
+        }
+        let share = open.count_ones() as f32 / self.above.count_ones() as f32;
+        let (open, above) = (offset_sum(open), offset_sum(self.above));
+        [0, 1].map(|axis| (open[axis] - share * above[axis]) / SAMPLES as f32)
+    }
+}
+
+/// How something varies over a texel: relative to its mean above the horizon, and linear.
+#[derive(Clone, Copy, Debug, Default)]
+struct Tilt {
+    /// In the texel's middle.
+    middle: f32,
+    /// From there to the border along u and v.
+    slope: [f32; 2],
+}
+
+impl Tilt {
+    /// For what is `middle` in a texel's middle and `reach` more at its borders along u and v.
+    #[inline(always)]
+    fn new(middle: f32, reach: [f32; 2], above: u16) -> Self {
+        let sum = offset_sum(above);
+        let count = larger_than_zero(above.count_ones() as f32);
+        let mean = middle + (reach[0] * sum[0] + reach[1] * sum[1]) / count;
+        // Where the horizon leaves a corner, what is linear may not be positive there.
+        let least = 0.1 * (reach[0].abs() + reach[1].abs()) + 1e-6;
+        let inverse = 1.0 / crate::larger(mean, least);
+        let slope = reach.map(|r| r * inverse);
+        let middle = 1.0 - (slope[0] * sum[0] + slope[1] * sum[1]) / count;
+        Self { middle, slope }
+    }
+
+    /// At a place of the texel, −1..=1 from border to border.
+    #[inline(always)]
+    fn at(&self, place: [f32; 2]) -> f32 {
+        crate::larger(self.middle + self.slope[0] * place[0] + self.slope[1] * place[1], 0.0)
+    }
+
+    /// On the mean over samples.
+    #[inline(always)]
+    fn mean(&self, samples: u16) -> f32 {
+        let inverse = 1.0 / larger_than_zero(samples.count_ones() as f32);
+        self.at(offset_sum(samples).map(|sum| sum * inverse))
+    }
+}
+
+/// What light weighs in the parts of a texel.
+#[derive(Clone, Copy, Debug, Default)]
+struct TexelTilt {
+    /// The cosine: for pieces that count by their own solid angle.
+    cosine: Tilt,
+    /// The cosine times a sample's solid angle: for pieces that count by samples.
+    sample: Tilt,
+}
+
+impl TexelTilt {
+    /// For a texel with its middle at (u, v) on a face. There, n·D is `height`, and changes by `slope` times what u and v change.
+    #[inline(always)]
+    fn new(height: f32, slope: [f32; 2], [u, v]: [f32; 2], half: f32, above: u16) -> Self {
+        // The cosine is n·D/|D|, and a sample's solid angle goes as 1/|D|³.
+        let fall = height / (1.0 + u * u + v * v);
+        let reach = |power: f32| {
+            let fall = power * fall;
+            [(slope[0] - fall * u) * half, (slope[1] - fall * v) * half]
+        };
+        Self {
+            cosine: Tilt::new(height, reach(1.0), above),
+            sample: Tilt::new(height, reach(4.0), above),
+        }
+    }
+}
+
 /// Samples of a texel that a piece met.
 #[derive(Clone, Copy, Debug)]
 struct Hit {
@@ -103,6 +184,8 @@ pub struct CubeRaster {
     shines: bool,
     texels: Vec<Texel>,
     lights: Vec<TexelLight>,
+    /// Empty where no piece shines.
+    tilts: Vec<TexelTilt>,
     /// Inverse depth along the face's axis of what covers each sample.
     depths: Vec<[f32; SAMPLES]>,
     /// Texels that are not wholly covered, one bit each, per row of each face.
@@ -131,6 +214,7 @@ impl CubeRaster {
             shines,
             texels: vec![Texel::default(); 6 * n * stride],
             lights: vec![TexelLight::NONE; 6 * n * stride],
+            tilts: vec![TexelTilt::default(); if shines { 6 * n * stride } else { 0 }],
             depths: vec![[0.0; SAMPLES]; 6 * n * stride],
             open: vec![0; 6 * n],
             scale: 0.5 * n as f32,
@@ -175,8 +259,12 @@ impl CubeRaster {
                         !L::bits(height.le(L::splat(0.0)))
                     };
                     bits |= u64::from(above != 0) << column;
-                    self.texels[row_index * self.stride + column] =
-                        Texel { covered: !above, above };
+                    let index = row_index * self.stride + column;
+                    self.texels[index] = Texel { covered: !above, above };
+                    if self.shines && above != 0 {
+                        let tilt = TexelTilt::new(middle, [nu, nv], [u, v], 0.5 * step, above);
+                        self.tilts[index] = tilt;
+                    }
                 }
                 self.open[row_index] = bits;
             }
@@ -262,13 +350,15 @@ impl CubeRaster {
             for hit in &self.hits {
                 let ink = &shapes[usize::from(hit.shape)].1;
                 let above = self.texels[hit.index as usize].above.count_ones() as f32;
+                let tilt = &self.tilts[hit.index as usize];
                 let samples = if ink.solid_angle < SMALL_SR {
                     let per_sample = ink.solid_angle
                         * self.inverse_solid_angles[hit.index as usize]
                         / met[usize::from(hit.shape)] as f32;
-                    hit.visible.count_ones() as f32 * per_sample * SAMPLES as f32
+                    let count = hit.visible.count_ones() as f32;
+                    count * per_sample * SAMPLES as f32 * tilt.cosine.mean(hit.visible)
                 } else {
-                    hit.new.count_ones() as f32
+                    hit.new.count_ones() as f32 * tilt.sample.mean(hit.new)
                 };
                 let share = samples / larger_than_zero(above);
                 self.lights[hit.index as usize].add(share, &ink.radiance);
@@ -358,7 +448,8 @@ impl CubeRaster {
         let texel = |c: f32| smaller_index(c as i32 as usize, self.n - 1);
         let (column, row) = (texel(x), texel(y));
         let index = (usize::from(face.0) * self.n + row) * self.stride + column;
-        let sample = sample_near(x - column as u32 as f32, y - row as u32 as f32);
+        let place_in_texel = [x - column as u32 as f32, y - row as u32 as f32];
+        let sample = sample_near(place_in_texel[0], place_in_texel[1]);
         let texel = self.texels[index];
         if texel.above >> sample & 1 == 0 {
             return;
@@ -373,7 +464,8 @@ impl CubeRaster {
         }
         let above = texel.above.count_ones() as f32;
         let whole = self.inverse_solid_angles[index] * SAMPLES as f32 / above;
-        self.lights[index].add(ink.solid_angle * whole, &ink.radiance);
+        let cosine = self.tilts[index].cosine.at(place_in_texel.map(|x| 2.0 * x - 1.0));
+        self.lights[index].add(ink.solid_angle * whole * cosine, &ink.radiance);
     }
 
     /// Share of texel `index` (in memory), above the horizon, that no surface covers.
@@ -393,6 +485,8 @@ impl CubeRaster {
         for lane in 0..LANES {
             let texel = &self.texels[index * LANES + lane];
             chunk.covered[lane] = 1.0 - self.openness(index * LANES + lane);
+            let offset = texel.open_offset();
+            (chunk.open_offset[0][lane], chunk.open_offset[1][lane]) = (offset[0], offset[1]);
             let light = &self.lights[index * LANES + lane];
             let radiance = if texel.covered == ALL { light.made_whole() } else { light.radiance };
             for (plane, light) in chunk.radiance.iter_mut().zip(radiance) {

@@ -20,6 +20,37 @@ pub(crate) const fn place(index: usize) -> [f32; 2] {
     [(u as f32 + 0.5) / SAMPLES as f32, (v as f32 + 0.5) / SAMPLES as f32]
 }
 
+/// Sums over the samples of each set of eight, of how far they lie from the texel's middle along u and v; 1 is its border.
+const OFFSET_SUMS: [[[f32; 2]; 256]; 2] = {
+    let mut sums = [[[0.0; 2]; 256]; 2];
+    let mut half = 0;
+    while half < 2 {
+        let mut set = 0;
+        while set < 256 {
+            let mut bit = 0;
+            while bit < 8 {
+                if set >> bit & 1 != 0 {
+                    let [u, v] = place(half * 8 + bit);
+                    sums[half][set][0] += 2.0 * u - 1.0;
+                    sums[half][set][1] += 2.0 * v - 1.0;
+                }
+                bit += 1;
+            }
+            set += 1;
+        }
+        half += 1;
+    }
+    sums
+};
+
+/// Sum over a set of samples of how far they lie from the texel's middle, along u and v; 1 is its border.
+#[inline(always)]
+pub(crate) fn offset_sum(samples: u16) -> [f32; 2] {
+    let low = OFFSET_SUMS[0][usize::from(samples & 0xff)];
+    let high = OFFSET_SUMS[1][usize::from(samples >> 8)];
+    [low[0] + high[0], low[1] + high[1]]
+}
+
 /// Cells along each side of a texel that hold one sample each.
 const CELLS: usize = 4;
 
