@@ -5,6 +5,7 @@
 
 mod atomic_file;
 mod concat;
+mod forward_file;
 mod las;
 mod las_decoder;
 mod las_results;

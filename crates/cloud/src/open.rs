@@ -1,5 +1,6 @@
 //! Opening a cloud by its name.
 
+use crate::forward_file::ForwardFile;
 use crate::ptc::PTC_MAGIC;
 use crate::raw::RAW_MAGIC;
 use crate::{CloudError, CloudOptions, LasPoints, PlyPoints, PtcPoints, RawSource, SurfelSource};
@@ -26,9 +27,8 @@ pub fn open_cloud(
         .read_to_end(&mut start)
         .map_err(|e| CloudError::io(path, "read", e))?;
     if start == RAW_MAGIC {
-        let file = File::open(path).map_err(|e| CloudError::io(path, "open", e))?;
         // It reads large blocks by itself.
-        Ok(Box::new(RawSource::new(file, path, options)?))
+        Ok(Box::new(RawSource::new(ForwardFile::open(path)?, path, options)?))
     } else if start.starts_with(b"LASF") {
         Ok(Box::new(LasPoints::open(path, options)?))
     } else if start.starts_with(b"ply") {

@@ -1,5 +1,6 @@
 //! Point clouds in PLY files as streams of surfels.
 
+use crate::forward_file::ForwardFile;
 use crate::ply_columns::{BinaryRows, PlyColumns};
 use crate::record_batch::{BATCH_RECORDS, RecordBatch};
 use crate::source::CHUNK_SURFELS;
@@ -7,7 +8,6 @@ use crate::{
     CloudError, CloudOptions, InvalidPolicy, PlyFormat, PlyReader, PlyRow, Surfel, SurfelSource,
 };
 use pbgi_math::{Aabb, DVec3};
-use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
@@ -27,7 +27,7 @@ const CHUNK_BYTES: usize = 1 << 20;
 ///
 /// Other columns and elements are skipped.
 pub struct PlyPoints {
-    reader: PlyReader<BufReader<File>>,
+    reader: PlyReader<BufReader<ForwardFile>>,
     path: PathBuf,
     columns: PlyColumns,
     batch: RecordBatch,
@@ -210,9 +210,8 @@ impl SurfelSource for PlyPoints {
 }
 
 /// Opens a PLY file for buffered reading.
-pub(crate) fn open_ply(path: &Path) -> Result<PlyReader<BufReader<File>>, CloudError> {
-    let file = File::open(path).map_err(|e| CloudError::io(path, "open", e))?;
-    PlyReader::new(BufReader::with_capacity(1 << 18, file), path)
+pub(crate) fn open_ply(path: &Path) -> Result<PlyReader<BufReader<ForwardFile>>, CloudError> {
+    PlyReader::new(BufReader::with_capacity(1 << 18, ForwardFile::open(path)?), path)
 }
 
 #[cfg(test)]
