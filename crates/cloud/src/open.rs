@@ -1,6 +1,7 @@
 //! Opening a cloud by its name.
 
 use crate::forward_file::ForwardFile;
+use crate::las::LAS_MAGIC;
 use crate::ptc::PTC_MAGIC;
 use crate::raw::RAW_MAGIC;
 use crate::{CloudError, CloudOptions, LasPoints, PlyPoints, PtcPoints, RawSource, SurfelSource};
@@ -29,7 +30,7 @@ pub fn open_cloud(
     if start == RAW_MAGIC {
         // It reads large blocks by itself.
         Ok(Box::new(RawSource::new(ForwardFile::open(path)?, path, options)?))
-    } else if start.starts_with(b"LASF") {
+    } else if start.starts_with(&LAS_MAGIC) {
         Ok(Box::new(LasPoints::open(path, options)?))
     } else if start.starts_with(b"ply") {
         Ok(Box::new(PlyPoints::open(path, options)?))
