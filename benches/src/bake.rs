@@ -4,7 +4,9 @@
 use anyhow::{Context, Result, bail};
 use clap::{Parser, ValueEnum};
 use pbgi::cli;
-use pbgi_cloud::{CloudError, RawKind, Surfel, SurfelSource, write_raw_file};
+use pbgi_cloud::{
+    CloudError, CloudOptions, PlyWriter, RawKind, Surfel, SurfelSource, open_cloud, write_raw_file,
+};
 use pbgi_math::Vec3;
 use pbgi_scene::{DiceOptions, DicedScene, Spacing, TwoSided, procedural_scene};
 use rustix::fs::{Advice, fadvise};
@@ -15,7 +17,7 @@ use std::process::{Command, Stdio};
 use std::time::Instant;
 
 /// Bakes raw streams of 32 bytes per surfel made from a procedural scene, cold from disk, with `pbgi-bake` of the same build, and
-/// reports time, CPU, bytes and memory beside the disk's own speed.
+/// reports time, CPU, bytes and memory beside the disk's own speed. With --ply the same surfels are baked from PLY, too.
 #[derive(Parser)]
 struct Args {
     /// Surfels of each bake
@@ -33,6 +35,12 @@ struct Args {
     /// Files each stream is divided into
     #[arg(long, default_value_t = 1)]
     files: u64,
+    /// Bake each stream as a binary PLY file of all its columns, too
+    #[arg(long, conflicts_with = "direct")]
+    ply: bool,
+    /// How often everything is baked, in turn
+    #[arg(long, default_value_t = 1)]
+    rounds: usize,
     /// Bake the scene itself, not a stream of its surfels
     #[arg(long)]
     direct: bool,
@@ -64,8 +72,10 @@ fn main() -> Result<()> {
     for &count in &args.surfels {
         let scene = format!("{}?surfels={count}", args.scene);
         if args.direct {
-            for limit in &args.memory_limit {
-                bake(&program, &scene, &[scene.clone().into()], limit, folder.path(), &args)?;
+            for _ in 0..args.rounds {
+                for limit in &args.memory_limit {
+                    bake(&program, &scene, &[scene.clone().into()], limit, folder.path(), &args)?;
+                }
             }
             continue;
         }
@@ -75,8 +85,24 @@ fn main() -> Result<()> {
         for case in cases {
             let name = case.map_or(args.scene.clone(), |case| format!("{case:?}").to_lowercase());
             let streams = write_streams(case, &scene, count, folder.path(), args.files)?;
-            for limit in &args.memory_limit {
-                bake(&program, &name, &streams, limit, folder.path(), &args)?;
+            let plys = if args.ply { write_plys(&streams)? } else { Vec::new() };
+            for _ in 0..args.rounds {
+                for limit in &args.memory_limit {
+                    bake(&program, &name, &streams, limit, folder.path(), &args)?;
+                    if args.ply {
+                        bake(
+                            &program,
+                            &format!("{name}, PLY"),
+                            &plys,
+                            limit,
+                            folder.path(),
+                            &args,
+                        )?;
+                    }
+                }
+            }
+            for ply in plys {
+                std::fs::remove_file(ply)?;
             }
             for stream in streams {
                 match &args.keep {
@@ -169,6 +195,41 @@ fn write_stream(scene: &str, count: u64, path: &Path) -> Result<()> {
     let options = DiceOptions { spacing: Spacing::Count(count), two_sided: TwoSided::default() };
     write_raw_file(path, RawKind::Compact, &mut DicedScene::new(&scene, options)?)?;
     Ok(())
+}
+
+/// Writes the surfels of each stream as a PLY file beside it.
+fn write_plys(streams: &[PathBuf]) -> Result<Vec<PathBuf>> {
+    const COLUMNS: [&str; 11] = [
+        "x",
+        "y",
+        "z",
+        "nx",
+        "ny",
+        "nz",
+        "radius",
+        "area",
+        "radiance_r",
+        "radiance_g",
+        "radiance_b",
+    ];
+    let write = |stream: &PathBuf| {
+        let path = stream.with_extension("ply");
+        let mut source = open_cloud(stream, &CloudOptions::default())?;
+        let mut writer = PlyWriter::create(&path, &COLUMNS)?;
+        let (mut chunk, mut more) = (Vec::new(), true);
+        while more {
+            chunk.clear();
+            more = source.read_chunk(&mut chunk)?;
+            for surfel in &chunk {
+                let [[x, y, z], [nx, ny, nz]] = [surfel.position, surfel.normal().to_array()];
+                let [r, g, b] = surfel.radiance;
+                writer.write_rows(&[x, y, z, nx, ny, nz, surfel.radius, surfel.area, r, g, b])?;
+            }
+        }
+        writer.finish()?;
+        Ok(path)
+    };
+    streams.iter().map(write).collect()
 }
 
 /// Writes what is dirty and forgets what is cached.

@@ -1,6 +1,6 @@
 //! Sums over the surfels of a node: its bounds and its directional form.
 
-use crate::lobe_sum::LobeSum;
+use crate::lobe_sum::{LobeSum, lobe_area};
 use crate::reduce::{LobeReducer, LobeSums};
 use pbgi_cloud::{Surfel, SurfelFlags};
 use pbgi_math::{Aabb, Vec3, rectangle_half_edges};
@@ -38,10 +38,7 @@ impl NodeAggregate {
         assert!(!surfels.is_empty(), "a node holds at least one surfel");
         let mut node = Self::empty();
         node.surfel_count = surfels.len() as u64;
-        let lobe_total: f64 = surfels
-            .iter()
-            .map(|s| f64::from(s.area) * if s.is_isotropic() { 2.0 } else { 1.0 })
-            .sum();
+        let lobe_total: f64 = surfels.iter().map(lobe_area).sum();
         reducer.clear();
         let mut shape = Shape::of(&surfels[0]);
         let mut place: Option<(usize, &Surfel)> = None;

@@ -19,12 +19,16 @@ pub struct LobeSum {
     pub blocks_back: bool,
 }
 
+/// Area of a surfel as lobes count it: see [`LobeSum::area`].
+pub(crate) fn lobe_area(surfel: &Surfel) -> f64 {
+    f64::from(surfel.area) * if surfel.is_isotropic() { 2.0 } else { 1.0 }
+}
+
 impl LobeSum {
     /// The lobe of one surfel, whose normal was decoded before.
     #[must_use]
     pub fn from_surfel(surfel: &Surfel, normal: Vec3) -> Self {
-        let isotropic = surfel.is_isotropic();
-        let area = f64::from(surfel.area) * if isotropic { 2.0 } else { 1.0 };
+        let (isotropic, area) = (surfel.is_isotropic(), lobe_area(surfel));
         Self {
             vector: if isotropic { DVec3::ZERO } else { normal.as_dvec3() * area },
             area,

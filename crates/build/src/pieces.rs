@@ -2,6 +2,7 @@
 
 use crate::error::BuildError;
 use crate::items::{Item, build_piece};
+use crate::stitch::NextItems;
 use crate::tree::TreeSettings;
 use crate::{BuildOptions, Piece, PieceSource, PieceTask, SortedStream, StreamError};
 use crossbeam::channel::{Receiver, Sender, bounded};
@@ -99,9 +100,7 @@ pub(crate) fn with_items<R>(
     source: &mut dyn PieceSource,
     settings: &TreeSettings,
     options: &BuildOptions<'_>,
-    join: impl FnOnce(
-        &mut dyn FnMut() -> Result<Option<Vec<Item>>, BuildError>,
-    ) -> Result<R, BuildError>,
+    join: impl FnOnce(&mut NextItems<'_>) -> Result<R, BuildError>,
 ) -> Result<(R, u64), BuildError> {
     let mut joint = Joint { options, last: None, surfels: 0 };
     if options.threads < 2 {

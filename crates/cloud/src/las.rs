@@ -8,6 +8,8 @@ use las::{Header, PointData};
 use pbgi_math::{DVec3, Vec3};
 use std::path::{Path, PathBuf};
 
+/// First bytes of LAS and LAZ files.
+pub const LAS_MAGIC: [u8; 4] = *b"LASF";
 /// Points that tell how a file encodes color and intensity.
 const PROBE_POINTS: u64 = 65_536;
 /// Bytes of points decoded at once.

@@ -7,6 +7,7 @@
 //! hidden by [`GuardedFile`]; panics on nonsense are caught by [`guard`].
 
 use crate::CloudError;
+use crate::las::LAS_MAGIC;
 use las::Header;
 use laz::{LasZipDecompressor, LazItemType, LazVlr};
 use std::fs::File;
@@ -233,7 +234,7 @@ impl Seek for GuardedFile {
 /// Compares the sizes a LAS header claims with the `length` of its file. Offsets are those of the
 /// LAS 1.4 specification, section 2.4.
 fn check_header(header: &[u8], length: u64) -> Result<(), String> {
-    if header.len() < 227 || &header[..4] != b"LASF" {
+    if header.len() < 227 || header[..4] != LAS_MAGIC {
         return Err("not a LAS file: expected `LASF` and a header of 227 bytes at its start".into());
     }
     let u16_at = |at: usize| u64::from(u16::from_le_bytes(array_at(header, at)));

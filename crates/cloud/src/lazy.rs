@@ -57,14 +57,10 @@ impl SurfelSource for LazyCloud {
     fn find_bounds(&mut self) -> Result<Option<Aabb>, CloudError> {
         if self.bounds.is_none() {
             let mut source = self.reopen()?;
-            let mut bounds = Aabb::EMPTY;
-            let (mut chunk, mut more) = (Vec::new(), true);
-            while more {
-                chunk.clear();
-                more = source.read_chunk(&mut chunk)?;
-                bounds = chunk.iter().fold(bounds, |all, s| all.with_point(s.center()));
-            }
-            self.bounds = Some(bounds);
+            self.bounds = match source.find_bounds()? {
+                Some(bounds) => Some(bounds),
+                None => Some(read_bounds(source.as_mut())?),
+            };
         }
         Ok(self.bounds)
     }
@@ -88,6 +84,18 @@ impl SurfelSource for LazyCloud {
         };
         self.source.insert(source).read_chunk(out)
     }
+}
+
+/// Box of all centers ahead.
+fn read_bounds(source: &mut dyn SurfelSource) -> Result<Aabb, CloudError> {
+    let mut bounds = Aabb::EMPTY;
+    let (mut chunk, mut more) = (Vec::new(), true);
+    while more {
+        chunk.clear();
+        more = source.read_chunk(&mut chunk)?;
+        bounds = chunk.iter().fold(bounds, |all, s| all.with_point(s.center()));
+    }
+    Ok(bounds)
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@
 
 mod atomic_file;
 mod concat;
+mod forward_file;
 mod las;
 mod las_decoder;
 mod las_results;
@@ -26,7 +27,7 @@ mod surfel;
 
 pub use atomic_file::AtomicFile;
 pub use concat::ConcatSource;
-pub use las::LasPoints;
+pub use las::{LAS_MAGIC, LasPoints};
 pub use las_results::{LasPlaces, LasResultWriter};
 pub use lazy::LazyCloud;
 pub use open::open_cloud;

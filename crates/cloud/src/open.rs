@@ -1,5 +1,7 @@
 //! Opening a cloud by its name.
 
+use crate::forward_file::ForwardFile;
+use crate::las::LAS_MAGIC;
 use crate::ptc::PTC_MAGIC;
 use crate::raw::RAW_MAGIC;
 use crate::{CloudError, CloudOptions, LasPoints, PlyPoints, PtcPoints, RawSource, SurfelSource};
@@ -26,10 +28,9 @@ pub fn open_cloud(
         .read_to_end(&mut start)
         .map_err(|e| CloudError::io(path, "read", e))?;
     if start == RAW_MAGIC {
-        let file = File::open(path).map_err(|e| CloudError::io(path, "open", e))?;
         // It reads large blocks by itself.
-        Ok(Box::new(RawSource::new(file, path, options)?))
-    } else if start.starts_with(b"LASF") {
+        Ok(Box::new(RawSource::new(ForwardFile::open(path)?, path, options)?))
+    } else if start.starts_with(&LAS_MAGIC) {
         Ok(Box::new(LasPoints::open(path, options)?))
     } else if start.starts_with(b"ply") {
         Ok(Box::new(PlyPoints::open(path, options)?))

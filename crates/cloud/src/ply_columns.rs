@@ -78,6 +78,7 @@ impl Reading {
 
 /// The columns a surfel is read from: which field of a record each gives, and how.
 pub(crate) struct PlyColumns {
+    /// Those of the position come first.
     columns: Vec<(usize, Column, Reading)>,
     srgb8: Box<[f32; 256]>,
 }
@@ -142,7 +143,21 @@ impl PlyColumns {
     /// Fills a batch with as many whole binary rows as it has records: column by column, so that type, place and meaning
     /// of a column are looked up once.
     pub fn read_binary(&self, rows: &BinaryRows<'_>, batch: &mut RecordBatch) {
-        for (field, column, reading) in &self.columns {
+        self.read_columns(&self.columns, rows, batch);
+    }
+
+    /// Fills the positions of a batch only, else as [`Self::read_binary`].
+    pub fn read_positions(&self, rows: &BinaryRows<'_>, batch: &mut RecordBatch) {
+        self.read_columns(&self.columns[..3], rows, batch);
+    }
+
+    fn read_columns(
+        &self,
+        columns: &[(usize, Column, Reading)],
+        rows: &BinaryRows<'_>,
+        batch: &mut RecordBatch,
+    ) {
+        for (field, column, reading) in columns {
             let target = batch.column_mut(*field);
             match *reading {
                 Reading::Plain => rows.read(*column, target, |value| value as f32),

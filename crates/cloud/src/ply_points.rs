@@ -1,11 +1,13 @@
 //! Point clouds in PLY files as streams of surfels.
 
+use crate::forward_file::ForwardFile;
 use crate::ply_columns::{BinaryRows, PlyColumns};
 use crate::record_batch::{BATCH_RECORDS, RecordBatch};
 use crate::source::CHUNK_SURFELS;
-use crate::{CloudError, CloudOptions, PlyFormat, PlyReader, PlyRow, Surfel, SurfelSource};
-use pbgi_math::DVec3;
-use std::fs::File;
+use crate::{
+    CloudError, CloudOptions, InvalidPolicy, PlyFormat, PlyReader, PlyRow, Surfel, SurfelSource,
+};
+use pbgi_math::{Aabb, DVec3};
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
@@ -25,7 +27,7 @@ const CHUNK_BYTES: usize = 1 << 20;
 ///
 /// Other columns and elements are skipped.
 pub struct PlyPoints {
-    reader: PlyReader<BufReader<File>>,
+    reader: PlyReader<BufReader<ForwardFile>>,
     path: PathBuf,
     columns: PlyColumns,
     batch: RecordBatch,
@@ -35,6 +37,8 @@ pub struct PlyPoints {
     skipped: u64,
     /// Bytes of a binary row of fixed stride and whether they are swapped.
     stride: Option<(usize, bool)>,
+    /// Box of all centers, once found.
+    bounds: Option<Aabb>,
     bytes: Vec<u8>,
     row: PlyRow,
 }
@@ -80,6 +84,7 @@ impl PlyPoints {
             count,
             skipped: 0,
             stride,
+            bounds: None,
             bytes: Vec::new(),
             row: PlyRow::default(),
         })
@@ -103,11 +108,13 @@ impl PlyPoints {
         })
     }
 
-    fn read_fixed(
+    /// Reads the next rows of a fixed stride and calls `take` with these, a batch at a time, the batch to put them into, and the
+    /// number of the first; `false` when there are no more.
+    fn for_batches(
         &mut self,
         stride: usize,
         big_endian: bool,
-        out: &mut Vec<Surfel>,
+        mut take: impl FnMut(&mut Self, &BinaryRows<'_>, u64) -> Result<(), CloudError>,
     ) -> Result<bool, CloudError> {
         let mut bytes = std::mem::take(&mut self.bytes);
         let mut row = self.reader.row_index();
@@ -115,13 +122,39 @@ impl PlyPoints {
         let rows = CHUNK_SURFELS.min((CHUNK_BYTES / stride.max(1)).max(1));
         self.reader.fill_rows(rows, &mut bytes)?;
         for bytes in bytes.chunks(BATCH_RECORDS * stride) {
-            self.batch.set_len(bytes.len() / stride);
-            self.columns.read_binary(&BinaryRows { bytes, stride, big_endian }, &mut self.batch);
-            self.push_batch(row, out)?;
-            row += (bytes.len() / stride) as u64;
+            let count = bytes.len() / stride;
+            self.batch.set_len(count);
+            take(self, &BinaryRows { bytes, stride, big_endian }, row)?;
+            row += count as u64;
         }
         self.bytes = bytes;
         Ok(row < self.count)
+    }
+
+    fn read_fixed(
+        &mut self,
+        stride: usize,
+        big_endian: bool,
+        out: &mut Vec<Surfel>,
+    ) -> Result<bool, CloudError> {
+        self.for_batches(stride, big_endian, |points, rows, first| {
+            points.columns.read_binary(rows, &mut points.batch);
+            points.push_batch(first, out)
+        })
+    }
+
+    /// Box of the positions of all rows ahead; `None` where one is not that of a surfel.
+    fn read_bounds(&mut self, stride: usize, big_endian: bool) -> Result<Option<Aabb>, CloudError> {
+        let (mut bounds, mut more) = (Some(Aabb::EMPTY), true);
+        while more && bounds.is_some() {
+            more = self.for_batches(stride, big_endian, |points, rows, _| {
+                points.columns.read_positions(rows, &mut points.batch);
+                let own = points.batch.position_bounds();
+                bounds = bounds.zip(own).map(|(all, own)| all.union(own));
+                Ok(())
+            })?;
+        }
+        Ok(bounds)
     }
 
     fn read_rows(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
@@ -144,8 +177,24 @@ impl SurfelSource for PlyPoints {
         self.origin
     }
 
+    fn bounds(&self) -> Option<Aabb> {
+        self.bounds
+    }
+
+    /// Reads the positions only of binary rows. Where a row may have to be dropped for another column, or its position is not that of
+    /// a surfel, whole rows must tell.
+    fn find_bounds(&mut self) -> Result<Option<Aabb>, CloudError> {
+        if let (None, Some((stride, big_endian)), InvalidPolicy::Refuse) =
+            (self.bounds, self.stride, self.options.invalid)
+        {
+            let mut again = Self::open(&self.path, &self.options)?;
+            self.bounds = again.read_bounds(stride, big_endian)?;
+        }
+        Ok(self.bounds)
+    }
+
     fn count(&self) -> Option<u64> {
-        (self.options.invalid == crate::InvalidPolicy::Refuse).then_some(self.count)
+        (self.options.invalid == InvalidPolicy::Refuse).then_some(self.count)
     }
 
     fn skipped(&self) -> u64 {
@@ -161,15 +210,13 @@ impl SurfelSource for PlyPoints {
 }
 
 /// Opens a PLY file for buffered reading.
-pub(crate) fn open_ply(path: &Path) -> Result<PlyReader<BufReader<File>>, CloudError> {
-    let file = File::open(path).map_err(|e| CloudError::io(path, "open", e))?;
-    PlyReader::new(BufReader::with_capacity(1 << 18, file), path)
+pub(crate) fn open_ply(path: &Path) -> Result<PlyReader<BufReader<ForwardFile>>, CloudError> {
+    PlyReader::new(BufReader::with_capacity(1 << 18, ForwardFile::open(path)?), path)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::InvalidPolicy;
     use pbgi_math::Vec3;
 
     fn read_all(source: &mut dyn SurfelSource) -> Result<Vec<Surfel>, CloudError> {
@@ -266,6 +313,61 @@ mod tests {
         assert_eq!(read_all(&mut source).unwrap().len(), 1);
         assert_eq!(source.skipped(), 2);
         assert_eq!(source.count(), None);
+    }
+
+    /// Positions alone tell the bounds, unless rows may have to be dropped.
+    #[test]
+    fn bounds_are_those_of_all_surfels() {
+        for (ty, radius, policy, is_found) in [
+            ("float", 1.0, InvalidPolicy::Refuse, true),
+            ("double", 1.0, InvalidPolicy::Refuse, true),
+            ("double", 1.0, InvalidPolicy::Skip, false),
+            ("float", -1.0, InvalidPolicy::Skip, false),
+        ] {
+            let mut contents = format!(
+                "ply\nformat binary_little_endian 1.0\nelement vertex 9000\nproperty {ty} x\n\
+                 property {ty} y\nproperty {ty} z\nproperty float radius\nend_header\n"
+            )
+            .into_bytes();
+            for i in 0..9000 {
+                let x = f64::from(i * 7919 % 9001) * 0.37 - 800.0;
+                for x in [x, -x, 5.0] {
+                    match ty {
+                        "float" => contents.extend((x as f32).to_le_bytes()),
+                        _ => contents.extend((x + 6e5).to_le_bytes()),
+                    }
+                }
+                // The smallest x.
+                let radius = if i == 0 { radius } else { 1.0f32 };
+                contents.extend(radius.to_le_bytes());
+            }
+            let file = file(&contents);
+            let options = CloudOptions { invalid: policy, ..CloudOptions::default() };
+            let mut source = PlyPoints::open(file.path(), &options).unwrap();
+            let found = source.find_bounds().unwrap();
+            let surfels = read_all(&mut source).unwrap();
+            assert_eq!(surfels.len(), if radius < 0.0 { 8999 } else { 9000 });
+            let expected = Aabb::from_points(surfels.iter().map(Surfel::center));
+            assert_eq!(found, is_found.then_some(expected), "{ty} {radius}");
+            let mut lazy = crate::LazyCloud::open(file.path(), &options).unwrap();
+            assert_eq!(lazy.find_bounds().unwrap(), Some(expected));
+        }
+    }
+
+    #[test]
+    fn bad_positions_are_found_out_by_whole_rows() {
+        let mut contents =
+            b"ply\nformat binary_little_endian 1.0\nelement vertex 2\nproperty float x\n\
+            property float y\nproperty float z\nend_header\n"
+                .to_vec();
+        contents
+            .extend([0.0f32, 1.0, 2.0, 3.0, f32::NAN, 5.0].map(f32::to_le_bytes).as_flattened());
+        let file = file(&contents);
+        let mut source = PlyPoints::open(file.path(), &CloudOptions::default()).unwrap();
+        assert_eq!(source.find_bounds().unwrap(), None);
+        let mut lazy = crate::LazyCloud::open(file.path(), &CloudOptions::default()).unwrap();
+        let message = lazy.find_bounds().unwrap_err().to_string();
+        assert!(message.contains("vertex row 1: position"), "{message}");
     }
 
     #[test]

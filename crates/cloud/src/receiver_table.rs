@@ -1,10 +1,10 @@
 //! Receivers read from PLY: places to gather light at, with whatever else the file knows of them.
 
+use crate::forward_file::ForwardFile;
 use crate::ply_columns::{Column, NORMAL_NAMES};
 use crate::ply_points::open_ply;
 use crate::{CloudError, PlyElement, PlyKind, PlyReader, PlyRow, PlyType};
 use pbgi_math::{DVec3, Vec3};
-use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
@@ -78,7 +78,7 @@ impl ReceiverTable {
 /// Reads receivers from a PLY file in parts of bounded size.
 pub struct ReceiverReader {
     path: PathBuf,
-    reader: PlyReader<BufReader<File>>,
+    reader: PlyReader<BufReader<ForwardFile>>,
     position: [Column; 3],
     normal: [Column; 3],
     /// Places of the other columns in a row, and their names.

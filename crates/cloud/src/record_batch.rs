@@ -5,7 +5,7 @@ use crate::record::{Defect, MAGNITUDE_MAX, Record, are_sound_sizes};
 use crate::{CloudOptions, SurfelFlags};
 use half::f16;
 use half::slice::HalfFloatSliceExt;
-use pbgi_math::{Vec3, encode_octahedral24};
+use pbgi_math::{Aabb, Vec3, encode_octahedral24};
 use std::f32::consts::PI;
 
 /// Records of a batch, at most: its columns stay in the first-level cache.
@@ -97,6 +97,17 @@ impl RecordBatch {
             }
         }
         Ok(())
+    }
+
+    /// Box of all positions; `None` where one is not that of a surfel.
+    pub fn position_bounds(&self) -> Option<Aabb> {
+        let [x, y, z] = [0, 1, 2].map(|k| &self.columns[field::POSITION + k][..self.len]);
+        let (mut bounds, mut all_sound) = (Aabb::EMPTY, true);
+        for ((x, y), z) in x.iter().zip(y).zip(z) {
+            all_sound &= [x, y, z].iter().all(|x| x.abs() <= MAGNITUDE_MAX);
+            bounds = bounds.with_point(Vec3::new(*x, *y, *z));
+        }
+        all_sound.then_some(bounds)
     }
 
     /// Whether all places and all light are those of surfels.

@@ -4,9 +4,10 @@ use crate::PbgiError;
 use crate::bake_memory::BakeMemory;
 use crate::bake_report::{BakeReport, BytesPerSurfel, PhaseReport};
 use crate::bake_request::{BakeRequest, NormalsChoice};
+use crate::disk_space::{DiskSpace, DiskUse};
 use crate::input::Inputs;
 use crate::memory::{peak_resident_bytes, process_use};
-use crate::output_path::{folder_of, free_bytes, temporary_path};
+use crate::output_path::{are_on_one_disk, folder_of, free_bytes, temporary_path};
 use crate::pass_files::{FinishedPass, PassFiles};
 use crate::progress::{Phase, Progress, format_bytes};
 use crate::relight::{EmissionPieces, Light, PassSettings, RelitStream, check_canceled};
@@ -85,9 +86,6 @@ pub fn bake(
     Ok(baker.finish(&build, start))
 }
 
-/// Bytes an output's surfel usually takes.
-const OUTPUT_SURFEL_BYTES: u64 = 20;
-
 /// A bake under way.
 struct Baker<'a> {
     request: &'a BakeRequest,
@@ -155,21 +153,27 @@ impl<'a> Baker<'a> {
 
     /// Says how much room temporary files and output will need, and warns where there is less.
     fn state_disk_space(&mut self, surfels: u64, sort_bytes: u64) {
-        let sorted = surfels.saturating_mul(size_of::<Surfel>() as u64);
-        let is_held = sorted <= sort_bytes && !self.request.resume;
-        let temporary = if is_held { 0 } else { sorted };
-        let output = surfels.saturating_mul(OUTPUT_SURFEL_BYTES);
+        let resumes = self.request.resume;
+        let sorted_bytes = surfels.saturating_mul(size_of::<Surfel>() as u64);
+        let passes = self.light.pass_count();
+        let is_held = sorted_bytes <= sort_bytes && !resumes;
+        let space = DiskSpace::new(DiskUse { surfels, is_held, passes, resumes });
         let (temp_dir, folder) = (self.request.temp_dir(), folder_of(&self.request.output));
         let free = free_bytes(&temp_dir).zip(free_bytes(folder));
         let shown_free = free.map_or(String::new(), |(temp, output)| {
             format!(" ({} and {} are free)", format_bytes(temp), format_bytes(output))
         });
+        let temporary = match passes {
+            0 => "temporary files, given back as they are read",
+            _ => "temporary files, octrees between passes of light among them",
+        };
         self.progress.note(&format!(
-            "disk space: at most {} for temporary files, given back as they are read, and about {} for the output{shown_free}",
-            format_bytes(temporary),
-            format_bytes(output),
+            "disk space: at most {} for {temporary}, and about {} for the output{shown_free}",
+            format_bytes(space.temporary),
+            format_bytes(space.output),
         ));
-        if free.is_some_and(|(temp, room)| temp < temporary || room < output) {
+        let is_one_disk = are_on_one_disk(&temp_dir, folder);
+        if free.is_some_and(|(temp, output)| space.exceeds(temp, output, is_one_disk)) {
             self.report.warnings.push(
                 "the disk may become full; should it, nothing half-written stays (--temp-dir names another for temporary files)"
                     .to_owned(),

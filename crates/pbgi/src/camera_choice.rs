@@ -1,7 +1,7 @@
 //! Which camera a frame is seen through.
 
 use crate::PbgiError;
-use crate::camera_file::FileCamera;
+use crate::camera_file::{FileCamera, bad_fov};
 use pbgi_math::{Aabb, DVec3, Vec3};
 use pbgi_scene::{Camera, Scene};
 use std::path::PathBuf;
@@ -114,12 +114,10 @@ fn turn_about(position: DVec3, target: DVec3, up: Vec3, degrees: f64) -> DVec3 {
 /// A field of view in degrees, that of no choice in place of none.
 fn check_fov(fov_degrees: Option<f32>) -> Result<f32, PbgiError> {
     let fov = fov_degrees.unwrap_or(FOV_DEGREES);
-    if fov > 0.0 && fov < 179.0 {
-        return Ok(fov);
+    match bad_fov(fov) {
+        None => Ok(fov),
+        Some(problem) => Err(PbgiError::usage(format!("the field of view is {problem}"))),
     }
-    Err(PbgiError::usage(format!(
-        "the field of view is {fov} degrees, expected more than 0 and less than 179"
-    )))
 }
 
 fn no_such_camera(name: &str, cameras: &[Camera]) -> PbgiError {

@@ -126,6 +126,12 @@ impl FileCamera {
     }
 }
 
+/// What is wrong with a field of view in degrees; none where nothing is.
+pub(crate) fn bad_fov(fov_degrees: f32) -> Option<String> {
+    let is_good = fov_degrees > 0.0 && fov_degrees < 179.0;
+    (!is_good).then(|| format!("{fov_degrees} degrees, expected more than 0 and less than 179"))
+}
+
 /// A camera as JSON: a place with a target, or a matrix.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -140,8 +146,8 @@ struct JsonCamera {
 
 impl JsonCamera {
     fn camera(&self) -> Result<FileCamera, String> {
-        if let Some(fov) = self.fov.filter(|fov| !(*fov > 0.0 && *fov < 179.0)) {
-            return Err(format!("fov is {fov} degrees, expected more than 0 and less than 179"));
+        if let Some(problem) = self.fov.and_then(bad_fov) {
+            return Err(format!("fov is {problem}"));
         }
         let camera = match (self.camera_to_world, self.position, self.target) {
             (Some(rows), None, None) if self.up.is_none() => {

@@ -2,8 +2,8 @@
 
 use crate::PbgiError;
 use pbgi_cloud::{
-    CloudError, CloudOptions, ConcatSource, LazyCloud, PlyHeader, SurfelSource, open_cloud,
-    raw::RAW_MAGIC,
+    CloudError, CloudOptions, ConcatSource, LAS_MAGIC, LazyCloud, PlyHeader, SurfelSource,
+    open_cloud, raw::RAW_MAGIC,
 };
 use pbgi_scene::{
     DiceError, DiceOptions, DicedScene, ProceduralSpec, Scene, Spacing, TwoSided, procedural_scene,
@@ -74,7 +74,7 @@ impl InputKind {
         match start.as_slice() {
             [] => Err(PbgiError::input(format!("{name}: the file is empty"))),
             magic if *magic == RAW_MAGIC => Ok(Self::Cloud),
-            [b'L', b'A', b'S', b'F', ..] => Ok(Self::Lidar),
+            start if start.starts_with(&LAS_MAGIC) => Ok(Self::Lidar),
             [b'p', b'p', b't', b'c', ..] => Ok(Self::Cloud),
             [b'p', b'l', b'y', ..] => Self::of_ply(path),
             _ => Err(PbgiError::input(format!(

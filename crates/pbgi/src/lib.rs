@@ -16,6 +16,7 @@ mod camera_file;
 mod check;
 pub mod cli;
 mod contact;
+mod disk_space;
 mod error;
 mod export;
 mod frame;

@@ -18,6 +18,12 @@ pub(crate) fn free_bytes(folder: &Path) -> Option<u64> {
     Some(stat.f_bavail.saturating_mul(stat.f_frsize))
 }
 
+/// Whether two folders lie in one file system; `false` where the system does not tell.
+pub(crate) fn are_on_one_disk(a: &Path, b: &Path) -> bool {
+    let device = |folder: &Path| rustix::fs::stat(folder).ok().map(|stat| stat.st_dev);
+    device(a).is_some_and(|found| Some(found) == device(b))
+}
+
 /// Refuses an output that cannot or should not be written, before any long work.
 ///
 /// # Errors

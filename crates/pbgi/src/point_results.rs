@@ -4,7 +4,7 @@ use crate::PbgiError;
 use crate::points::{PointSource, PointsRequest};
 use crate::scan::{is_scan, is_scan_name};
 use pbgi_cloud::{LasResultWriter, RowWriter};
-use pbgi_math::{DVec3, Vec3};
+use pbgi_math::{DVec3, Vec3, luminance};
 use pbgi_schedule::Shading;
 
 /// Values collected before they go into a scan.
@@ -126,8 +126,8 @@ impl ResultWriter {
                 writer.write_rows(row)?;
             }
             Target::Scan(writer, values) => {
-                let [r, g, b] = irradiance;
-                values.extend([0.2126 * r + 0.7152 * g + 0.0722 * b, r, g, b]);
+                values.push(luminance(irradiance));
+                values.extend(irradiance);
                 values.extend(open);
                 if values.len() >= SCAN_VALUES {
                     writer.write(values)?;

@@ -3,7 +3,7 @@
 use crate::scatter::{InOrder, Scatter};
 use crate::shade::ShadeSettings;
 use crate::{PbgiError, Progress};
-use pbgi_cloud::{CloudError, LasPlaces, ReceiverTable, Surfel, SurfelSource};
+use pbgi_cloud::{CloudError, LAS_MAGIC, LasPlaces, ReceiverTable, Surfel, SurfelSource};
 use pbgi_math::{DVec3, Vec3, decode_octahedral24};
 use pbgi_sort::{
     BUDGET_BYTES_MIN, EstimateOptions, SortOptions, SortProgress, estimate_surfels, sort_surfels,
@@ -32,7 +32,7 @@ pub(crate) fn is_scan(path: &Path) -> Result<bool, PbgiError> {
     let file = File::open(path).map_err(|e| CloudError::io(path, "open", e))?;
     let mut start = Vec::new();
     file.take(4).read_to_end(&mut start).map_err(|e| CloudError::io(path, "read", e))?;
-    Ok(start == *b"LASF")
+    Ok(start == LAS_MAGIC)
 }
 
 /// Whether `path` is named as LAS and LAZ files are.

@@ -634,6 +634,10 @@ impl ShadeReport {
     #[must_use]
     pub fn rows(&self) -> Vec<(&'static str, String)> {
         let percent = |share: f64| format!("{:.2} %", share * 100.0);
+        let error_text = |rrmse: f64, bias: f64, p99: f64| {
+            let [rrmse, bias, p99] = [rrmse, bias, p99].map(percent);
+            format!("{rrmse} relative rmse, {bias} bias, {p99} p99")
+        };
         let mut rows = vec![
             ("surfels", format_count(self.surfels as f64)),
             ("receivers", format_count(self.receivers as f64)),
@@ -662,31 +666,18 @@ impl ShadeReport {
         }
         if let Some(check) = &self.check {
             let error = format!(
-                "{} relative rmse, {} bias, {} p99 ({} of {} receivers, every surfel in {})",
-                percent(check.rrmse),
-                percent(check.bias),
-                percent(check.p99),
+                "{} ({} of {} receivers, every surfel in {})",
+                error_text(check.rrmse, check.bias, check.p99),
                 check.quantity,
                 check.receivers,
                 format_seconds(check.seconds)
             );
             rows.push(("cut error", error));
             if let Some(alone) = &check.alone {
-                let error = format!(
-                    "{} relative rmse, {} bias, {} p99",
-                    percent(alone.rrmse),
-                    percent(alone.bias),
-                    percent(alone.p99)
-                );
-                rows.push(("without sharing", error));
+                rows.push(("without sharing", error_text(alone.rrmse, alone.bias, alone.p99)));
             }
             if let Some(gloss) = &check.gloss {
-                let error = format!(
-                    "{} relative rmse, {} bias, {} p99",
-                    percent(gloss.rrmse),
-                    percent(gloss.bias),
-                    percent(gloss.p99)
-                );
+                let error = error_text(gloss.rrmse, gloss.bias, gloss.p99);
                 rows.push(("cut error of gloss", error));
             }
         }

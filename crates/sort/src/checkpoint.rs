@@ -3,14 +3,14 @@
 use crate::form::RecordForm;
 use crate::options::Plan;
 use crate::runs::{Run, Runs};
-use crate::temp_file::TempFile;
+use crate::temp_file::{TempFile, folder_of};
 use crate::trie::Trie;
 use crate::{SortError, SurfelSummary};
 use pbgi_cloud::Surfel;
 use pbgi_math::{Aabb, DVec3, RootCube, Vec3};
 use std::fs::File;
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// First word of a state file; another layout gets another.
 const MAGIC: u64 = u64::from_le_bytes(*b"PBGISRT1");
@@ -55,7 +55,7 @@ impl Checkpoint {
     }
 
     fn error(&self, action: &'static str, source: std::io::Error) -> SortError {
-        let dir = self.path.parent().unwrap_or(Path::new(".")).to_owned();
+        let dir = folder_of(&self.path).to_owned();
         SortError::Temp { dir, action, source }
     }
 

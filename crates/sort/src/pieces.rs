@@ -90,7 +90,7 @@ pub(crate) struct DividedSurfels {
     pub root: RootCube,
     pub trie: Trie,
     pub content: Content,
-    /// Most surfels of a cell that can be divided; pieces have at most twice as many.
+    /// Most surfels of a cell that can be divided; pieces have less than three times as many.
     pub cell_surfels: usize,
     /// Bytes of the read buffer of a run.
     pub buffer_bytes: usize,

@@ -33,6 +33,14 @@ pub(crate) struct Run {
     pub cells: Vec<(u32, u32)>,
 }
 
+impl Run {
+    /// Bytes of all its records.
+    fn len_bytes(&self) -> u64 {
+        let surfels: u64 = self.cells.iter().map(|&(_, len)| u64::from(len)).sum();
+        surfels * self.form.record_bytes() as u64
+    }
+}
+
 impl Runs {
     /// No runs yet.
     pub fn new(file: TempFile) -> Self {
@@ -76,8 +84,8 @@ impl Runs {
                 cells.push((node, len as u32));
             }
         });
-        let surfels: u64 = cells.iter().map(|&(_, len)| u64::from(len)).sum();
-        let start = self.file.extend(surfels * form.record_bytes() as u64)?;
+        let mut run = Run { start: 0, form, cells };
+        run.start = self.file.extend(run.len_bytes())?;
         let file = &self.file;
         std::thread::scope(|scope| {
             let (full_sender, full) = bounded::<(u64, AlignedBuffer)>(WRITE_BUFFERS);
@@ -93,9 +101,9 @@ impl Runs {
                 Ok(())
             });
             let mut output =
-                RunOutput { offset: start, filled: 0, buffer: None, empty, full: full_sender };
+                RunOutput { offset: run.start, filled: 0, buffer: None, empty, full: full_sender };
             let mut records = Vec::new();
-            for piece in cells.iter().flat_map(|&(node, _)| buckets.pieces(node)) {
+            for piece in run.cells.iter().flat_map(|&(node, _)| buckets.pieces(node)) {
                 records.clear();
                 form.encode(piece, &mut records);
                 // Without buffers the writer has failed.
@@ -106,7 +114,7 @@ impl Runs {
             output.finish();
             writer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
         })?;
-        self.runs.push(Run { start, form, cells });
+        self.runs.push(run);
         Ok(())
     }
 }
@@ -187,18 +195,15 @@ struct Cursor {
 impl RunCursors {
     /// At the start of all runs, with buffers of so many bytes. With `releases` the disk space of what was read is given back.
     pub fn new(runs: &Runs, buffer_bytes: usize, releases: bool) -> Self {
-        let start = |run: &Run| {
-            let surfels: u64 = run.cells.iter().map(|&(_, len)| u64::from(len)).sum();
-            Cursor {
-                cell: 0,
-                position: run.start,
-                end: run.start + surfels * run.form.record_bytes() as u64,
-                released: run.start,
-                buffer: AlignedBuffer::new(buffer_bytes),
-                carried: 0,
-                filled: 0,
-                used: 0,
-            }
+        let start = |run: &Run| Cursor {
+            cell: 0,
+            position: run.start,
+            end: run.start + run.len_bytes(),
+            released: run.start,
+            buffer: AlignedBuffer::new(buffer_bytes),
+            carried: 0,
+            filled: 0,
+            used: 0,
         };
         let cursors: Vec<Cursor> = runs.runs.iter().map(start).collect();
         Self { run: cursors.len(), cursors, releases, node: 0, left: 0 }

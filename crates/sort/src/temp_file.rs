@@ -48,7 +48,7 @@ impl TempFile {
 
     /// Creates an empty file of this name, which stays when it is closed.
     pub fn create_named(path: &Path) -> Result<Self, SortError> {
-        let dir = path.parent().unwrap_or(Path::new(".")).to_owned();
+        let dir = folder_of(path).to_owned();
         let options = File::options().read(true).write(true).create(true).truncate(true).open(path);
         match options {
             Ok(file) => Ok(Self::of(file, dir, 0)),
@@ -59,7 +59,7 @@ impl TempFile {
     /// Opens a file of this name, if it has this length.
     pub fn open(path: &Path, len: u64) -> Option<Self> {
         let file = File::options().read(true).write(true).open(path).ok()?;
-        let dir = path.parent().unwrap_or(Path::new(".")).to_owned();
+        let dir = folder_of(path).to_owned();
         (file.metadata().ok()?.len() == len).then(|| Self::of(file, dir, len))
     }
 
@@ -108,29 +108,26 @@ impl TempFile {
 
     /// Writes whole blocks.
     pub fn write_blocks(&self, offset: u64, blocks: &[u8]) -> Result<(), SortError> {
-        let written = match &self.direct {
-            Some(direct) => direct.write_all_at(blocks, offset),
-            None => Err(io::ErrorKind::InvalidInput.into()),
-        };
-        written
-            .or_else(|error| match error.kind() {
-                io::ErrorKind::InvalidInput => self.file.write_all_at(blocks, offset),
-                _ => Err(error),
-            })
+        self.direct_or_buffered(|file| file.write_all_at(blocks, offset))
             .map_err(|source| self.write_error(source, blocks.len()))
     }
 
     /// Reads whole blocks.
     pub fn read_blocks(&self, offset: u64, out: &mut [u8]) -> Result<(), SortError> {
-        let read = match &self.direct {
-            Some(direct) => direct.read_exact_at(out, offset),
-            None => Err(io::ErrorKind::InvalidInput.into()),
-        };
-        read.or_else(|error| match error.kind() {
-            io::ErrorKind::InvalidInput => self.file.read_exact_at(out, offset),
-            _ => Err(error),
-        })
-        .map_err(|source| self.error("read", source))
+        self.direct_or_buffered(|file| file.read_exact_at(out, offset))
+            .map_err(|source| self.error("read", source))
+    }
+
+    /// Calls `access` with the file that goes past the page cache; where there is none, or it takes no such blocks, with the other.
+    fn direct_or_buffered(
+        &self,
+        mut access: impl FnMut(&File) -> io::Result<()>,
+    ) -> io::Result<()> {
+        match self.direct.as_ref().map(&mut access) {
+            Some(Err(error)) if error.kind() == io::ErrorKind::InvalidInput => access(&self.file),
+            Some(result) => result,
+            None => access(&self.file),
+        }
     }
 
     fn write_error(&self, source: io::Error, needed: usize) -> SortError {
@@ -173,6 +170,14 @@ impl TempFile {
 
     fn error(&self, action: &'static str, source: io::Error) -> SortError {
         SortError::Temp { dir: self.dir.clone(), action, source }
+    }
+}
+
+/// The folder a file lies in.
+pub(crate) fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
     }
 }
 

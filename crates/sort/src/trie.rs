@@ -105,12 +105,10 @@ impl Trie {
         self.counts[node as usize]
     }
 
-    /// Counts one more surfel of a cell, and returns how many it has got.
+    /// Counts one more surfel of a cell.
     #[inline]
-    pub fn add(&mut self, node: u32) -> u64 {
-        let count = &mut self.counts[node as usize];
-        *count += 1;
-        *count
+    pub fn add(&mut self, node: u32) {
+        self.counts[node as usize] += 1;
     }
 
     /// The undivided cell that holds a code.

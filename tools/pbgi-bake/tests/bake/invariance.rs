@@ -48,6 +48,28 @@ fn baked_light_is_the_same_for_all_threads_and_budgets() {
 }
 
 #[test]
+fn room_for_octrees_between_passes_is_stated() {
+    let bench = Bench::new();
+    for (bounces, expected) in [
+        ("0", "at most 0 bytes for temporary files, given back"),
+        // 20 bytes for each of 4032 surfels, and twice that.
+        ("1", "at most 78.8 KiB for temporary files, octrees between passes of light among them"),
+        ("2", "at most 158 KiB for temporary files, octrees between passes of light among them"),
+    ] {
+        let run = bench.run(&[
+            "demo:cornell?surfels=4k",
+            "-o",
+            "c.pbgi",
+            "--force",
+            "--bounces",
+            bounces,
+        ]);
+        assert_eq!(run.code, 0, "{}", run.stderr);
+        assert!(run.stderr.contains(expected), "{bounces}: {}", run.stderr);
+    }
+}
+
+#[test]
 fn an_open_plane_under_a_gray_sky_reflects_its_albedo() {
     let bench = Bench::new();
     write_gray_environment(&bench);
