@@ -4,7 +4,7 @@ use crate::PbgiError;
 use crate::bake_memory::BakeMemory;
 use crate::bake_report::{BakeReport, BytesPerSurfel, PhaseReport};
 use crate::bake_request::{BakeRequest, NormalsChoice};
-use crate::input::Inputs;
+use crate::input::{Inputs, SceneSampling};
 use crate::memory::{peak_resident_bytes, process_use};
 use crate::output_path::{folder_of, free_bytes, temporary_path};
 use crate::pass_files::{FinishedPass, PassFiles};
@@ -75,6 +75,7 @@ pub fn bake(
     baker.remove_leftovers()?;
     let sorted = pool.install(|| baker.sort(&mut inputs))?;
     baker.report.warnings.append(&mut inputs.warnings);
+    baker.report.lights = inputs.light_count as u64;
     let lacks_normals = inputs.any_lacks_normals;
     // Meshes are not needed any more; what they held goes to the page cache.
     drop((inputs, pool));
@@ -106,9 +107,11 @@ struct Baker<'a> {
 impl<'a> Baker<'a> {
     /// Dices meshes, reads clouds, and sorts it all.
     fn sort(&mut self, inputs: &mut Inputs) -> Result<SortedSurfels, PbgiError> {
-        let (sampling, two_sided) = (self.request.sampling, self.request.two_sided);
+        let BakeRequest { sampling, two_sided, occlusion_only, .. } = *self.request;
+        let light_scale = if occlusion_only { 0.0 } else { self.request.light_scale };
         let start = Instant::now();
-        let (mut source, spacing) = inputs.read_as_one(sampling, two_sided)?;
+        let (mut source, spacing) =
+            inputs.read_as_one(SceneSampling { sampling, two_sided, light_scale })?;
         self.report.spacing = spacing;
         if let Some(spacing) = spacing {
             self.progress.note(&format!(

@@ -31,6 +31,8 @@ pub struct BakeReport {
     pub bytes_per_surfel: BytesPerSurfel,
     /// Coarsest spacing meshes were diced with, in scene units; none without meshes.
     pub spacing: Option<f64>,
+    /// Point and spot lights that became surfels.
+    pub lights: u64,
     /// Estimated sizes, where the clouds had none.
     pub estimated_sizes: u64,
     /// Estimated normals, where the clouds had none.
@@ -134,6 +136,9 @@ impl BakeReport {
         ];
         if let Some(spacing) = self.spacing {
             rows.push(("spacing", format!("{spacing:.6} (--spacing or --surfels set it)")));
+        }
+        if self.lights > 0 {
+            rows.push(("lights", format!("{} (--light-scale scales them)", self.lights)));
         }
         if self.skipped > 0 {
             rows.push(("skipped", format!("{} invalid records", self.skipped)));

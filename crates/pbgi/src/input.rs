@@ -2,8 +2,8 @@
 
 use crate::PbgiError;
 use pbgi_cloud::{
-    CloudError, CloudOptions, ConcatSource, LazyCloud, PlyHeader, SurfelSource, open_cloud,
-    raw::RAW_MAGIC,
+    CloudError, CloudOptions, ConcatSource, LazyCloud, PlyHeader, SliceSource, Surfel,
+    SurfelSource, open_cloud, raw::RAW_MAGIC,
 };
 use pbgi_scene::{
     DiceError, DiceOptions, DicedScene, ProceduralSpec, Scene, Spacing, TwoSided, procedural_scene,
@@ -140,6 +140,8 @@ enum Content {
         scene: Scene,
         /// Surfels the name itself asks for.
         surfels: Option<u64>,
+        /// Its lights, once it is read.
+        lights: Vec<Surfel>,
     },
     /// Taken when it is read.
     Cloud(Option<Box<dyn SurfelSource>>),
@@ -155,6 +157,19 @@ pub struct Inputs {
     pub any_z_up: bool,
     /// Whether any input may lack normals.
     pub any_lacks_normals: bool,
+    /// Lights that became surfels, once inputs are read.
+    pub light_count: usize,
+}
+
+/// How scenes become surfels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SceneSampling {
+    /// How fine.
+    pub sampling: Sampling,
+    /// Which surfaces get a surfel for each side.
+    pub two_sided: TwoSided,
+    /// Factor on the intensity of lights; 0 leaves them out.
+    pub light_scale: f32,
 }
 
 impl Inputs {
@@ -178,13 +193,15 @@ impl Inputs {
             warnings: Vec::new(),
             any_z_up: kinds.iter().any(|kind| kind.is_z_up()),
             any_lacks_normals: kinds.iter().any(|kind| kind.lacks_normals()),
+            light_count: 0,
         };
         for (name, kind) in names.iter().zip(kinds) {
             let content = if kind.is_mesh() {
                 let spec = ProceduralSpec::parse(name).ok();
                 let scene = load_scene(name)?;
                 inputs.warnings.extend(scene.warnings.iter().map(|w| format!("{name}: {w}")));
-                Content::Scene { scene, surfels: spec.and_then(|spec| spec.surfels) }
+                let surfels = spec.and_then(|spec| spec.surfels);
+                Content::Scene { scene, surfels, lights: Vec::new() }
             } else {
                 Content::Cloud(Some(open_for_later(Path::new(name), options)?))
             };
@@ -199,19 +216,19 @@ impl Inputs {
         self.contents.iter().any(|c| matches!(c, Content::Cloud(_)))
     }
 
-    /// All inputs as one stream, in their order, and the coarsest spacing meshes are diced with.
-    /// Clouds can be read once only.
+    /// All inputs as one stream, in their order, each scene's lights behind its micropolygons, and the coarsest spacing
+    /// meshes are diced with. Clouds can be read once only.
     ///
     /// # Errors
     ///
     /// If a scene cannot be diced.
     pub fn read_as_one(
         &mut self,
-        sampling: Sampling,
-        two_sided: TwoSided,
+        how: SceneSampling,
     ) -> Result<(ConcatSource<'_>, Option<f64>), PbgiError> {
-        let spacings = self.choose_spacings(sampling, two_sided)?;
-        let Self { names, contents, warnings, .. } = self;
+        let two_sided = how.two_sided;
+        let spacings = self.choose_spacings(how.sampling, two_sided)?;
+        let Self { names, contents, warnings, light_count, .. } = self;
         let mut sources: Vec<Box<dyn SurfelSource + '_>> = Vec::new();
         let mut coarsest: Option<f64> = None;
         for ((name, content), spacing) in names.iter().zip(contents).zip(spacings) {
@@ -221,13 +238,16 @@ impl Inputs {
                         PbgiError::failed(format!("{name}: a cloud can be read once only"))
                     })?);
                 }
-                Content::Scene { scene, .. } => {
+                Content::Scene { scene, lights, .. } => {
+                    *lights = scene.light_surfels(how.light_scale);
+                    *light_count += if lights.is_empty() { 0 } else { scene.lights.len() };
                     let diced = dice(name, scene, DiceOptions { spacing, two_sided })?;
                     warnings.extend(dicing_warnings(name, &diced));
                     if diced.spacing().is_finite() {
                         coarsest = Some(coarsest.unwrap_or(0.0).max(diced.spacing()));
                     }
                     sources.push(Box::new(diced));
+                    sources.push(Box::new(SliceSource::new(lights)));
                 }
             }
         }
@@ -251,7 +271,7 @@ impl Inputs {
         let mut areas = Vec::new();
         for (name, content) in self.names.iter().zip(&self.contents) {
             areas.push(match content {
-                Content::Scene { scene, surfels: None } if is_shared => {
+                Content::Scene { scene, surfels: None, .. } if is_shared => {
                     let spacing = Spacing::Length(f32::INFINITY);
                     dice(name, scene, DiceOptions { spacing, two_sided })?.area()
                 }
@@ -367,8 +387,9 @@ mod tests {
         let mut inputs = Inputs::open(&names, &CloudOptions::default()).unwrap();
         let spacings = inputs.choose_spacings(Sampling::Surfels(10_000), TwoSided::None).unwrap();
         assert_eq!(spacings, [1000, 9000, 5000].map(Spacing::Count));
-        let (mut source, spacing) =
-            inputs.read_as_one(Sampling::Surfels(10_000), TwoSided::None).unwrap();
+        let sampling = Sampling::Surfels(10_000);
+        let how = SceneSampling { sampling, two_sided: TwoSided::None, light_scale: 1.0 };
+        let (mut source, spacing) = inputs.read_as_one(how).unwrap();
         assert!(spacing.is_some_and(|s| s > 0.0));
         let (mut surfels, announced) = (Vec::new(), source.count().unwrap());
         while source.read_chunk(&mut surfels).unwrap() {}

@@ -17,48 +17,81 @@ pub struct PunctualLight {
     pub intensity: [f32; 3],
 }
 
-/// Radius of a light's disk over the diagonal of the scene's box: small against all that it lights, and yet wide enough that its
+/// Radius of a light over the diagonal of the scene's box: small against all that it lights, and yet wide enough that its
 /// radiance is not too many octaves above that of the walls.
 const RADIUS_SHARE: f32 = 1e-3;
 
 /// Radius where the scene has no extent.
 const RADIUS_ALONE: f32 = 1e-3;
 
+/// Surfels of a light that shines into all directions, as many as an icosahedron has faces.
+const BULB_SURFELS: usize = 20;
+
 impl Scene {
-    /// The lights as surfels of the same intensity, times `scale`; those that are dark are left out.
+    /// The lights as surfels of the same intensity *I*, times `scale`; those that are dark are left out.
     ///
-    /// A light into all directions is an isotropic surfel: it shows the same disk from everywhere, so its intensity is exact. One
-    /// along an axis is a disk that faces it, blocks nothing behind it, and lies one radius ahead, so that no surface
-    /// it is mounted on hides it. Disks have a thousandth of the diagonal of [`Scene::bounds`] as radius *r* and the
-    /// radiance *I*/(π*r*²); their albedo is 0.
+    /// Their size *r* is a thousandth of the diagonal of [`Scene::bounds`], their radiance *I*/(π*r*²), their albedo 0. A light along an axis
+    /// is a disk of radius *r* that faces it, blocks nothing behind it, and lies *r* ahead, so that no surface
+    /// it is mounted on hides it. One into all directions is an icosahedron of the area 4π*r*², a surfel per face: it shows π*r*² on
+    /// average, and within 3 % of that to every direction (`tests::bulbs_shine_alike_into_all_directions`).
     #[must_use]
     pub fn light_surfels(&self, scale: f32) -> Vec<Surfel> {
         let radius = self.light_radius();
         let shown_area = PI * radius * radius;
-        let shining = self.lights.iter().filter(|light| light.intensity != [0.0; 3] && scale > 0.0);
-        shining
-            .map(|light| {
-                let radiance = light.intensity.map(|i| (i * scale / shown_area).min(f32::MAX));
-                let surfel = match light.axis {
-                    Some(axis) => {
-                        let center = light.position + axis * radius;
-                        Surfel::new(center, axis, radius, shown_area)
-                            .with_flags(SurfelFlags::FRONT_ONLY)
-                    }
-                    None => Surfel::new(light.position, Vec3::Y, radius, 2.0 * shown_area)
-                        .with_flags(SurfelFlags::ISOTROPIC),
-                };
-                surfel.with_radiance(radiance)
-            })
-            .collect()
+        let mut surfels = Vec::new();
+        for light in &self.lights {
+            let radiance = light.intensity.map(|i| (i * scale / shown_area).min(f32::MAX));
+            if radiance == [0.0; 3] {
+                continue;
+            }
+            let lit = |surfel: Surfel| surfel.with_radiance(radiance);
+            match light.axis {
+                Some(axis) => {
+                    let center = light.position + axis * radius;
+                    let disk = Surfel::new(center, axis, radius, shown_area);
+                    surfels.push(lit(disk.with_flags(SurfelFlags::FRONT_ONLY)));
+                }
+                None => surfels.extend(icosahedron(light.position, radius).map(lit)),
+            }
+        }
+        surfels
     }
 
-    /// Radius of the lights' disks, in scene units.
+    /// Size of the lights, in scene units.
     fn light_radius(&self) -> f32 {
         let bounds = self.bounds();
         let diagonal = if bounds.is_empty() { 0.0 } else { bounds.extent().length() };
         if diagonal > 0.0 { RADIUS_SHARE * diagonal } else { RADIUS_ALONE }
     }
+}
+
+/// The faces of an icosahedron of the area 4π`radius`² as disks.
+fn icosahedron(center: Vec3, radius: f32) -> impl Iterator<Item = Surfel> {
+    let area = 4.0 * PI * radius * radius / BULB_SURFELS as f32;
+    let edge = (area * 4.0 / 3f32.sqrt()).sqrt();
+    // Of the inscribed sphere, and around a face.
+    let inner = edge * (3.0 + 5f32.sqrt()) / (4.0 * 3f32.sqrt());
+    let covering = edge / 3f32.sqrt();
+    face_normals().map(move |normal| Surfel::new(center + normal * inner, normal, covering, area))
+}
+
+/// Outward normals of an icosahedron: toward the vertices of a dodecahedron.
+fn face_normals() -> impl Iterator<Item = Vec3> {
+    let golden = 0.5 * (1.0 + 5f32.sqrt());
+    let signs = |bits: usize| {
+        let sign = |axis: usize| if bits >> axis & 1 == 0 { 1.0 } else { -1.0 };
+        Vec3::new(sign(0), sign(1), sign(2))
+    };
+    let cube = (0..8).map(signs);
+    let rectangles = (0..12).map(move |i| {
+        let corner = Vec3::new(0.0, 1.0 / golden, golden) * signs(i % 4 * 2);
+        match i / 4 {
+            0 => corner,
+            1 => Vec3::new(corner.z, corner.x, corner.y),
+            _ => Vec3::new(corner.y, corner.z, corner.x),
+        }
+    });
+    cube.chain(rectangles).map(Vec3::normalize)
 }
 
 #[cfg(test)]
@@ -87,18 +120,45 @@ mod tests {
         let spot = PunctualLight { axis: Some(axis), ..bulb.clone() };
         let scene = scene_with(vec![bulb, dark, spot]);
         let surfels = scene.light_surfels(0.5);
-        let [bulb, spot] = &surfels[..] else { panic!("{surfels:?}") };
-        // An isotropic surfel shows half its area.
-        for (surfel, shown) in [(bulb, 0.5 * bulb.area), (spot, spot.area)] {
-            assert!((surfel.radius - 0.005).abs() < 1e-6);
-            for (radiance, expected) in surfel.radiance.iter().zip([2.0, 1.0, 0.5]) {
-                assert!((radiance * shown / expected - 1.0).abs() < 1e-5, "{surfel:?}");
+        let (spot, bulb) = surfels.split_last().unwrap();
+        assert_eq!(bulb.len(), BULB_SURFELS);
+        // Of a convex shape a quarter of the area is shown, on average.
+        for (surfels, shown) in [(bulb, 0.25), (std::slice::from_ref(spot), 1.0)] {
+            for (channel, expected) in [2.0, 1.0, 0.5].into_iter().enumerate() {
+                let intensity: f32 =
+                    surfels.iter().map(|s| shown * s.area * s.radiance[channel]).sum();
+                assert!((intensity / expected - 1.0).abs() < 1e-5, "{intensity}");
             }
         }
-        assert!(bulb.is_isotropic() && bulb.center() == position);
+        let center = bulb.iter().map(Surfel::center).sum::<Vec3>() / bulb.len() as f32;
+        assert!((center - position).length() < 1e-5, "{center}");
+        assert!(bulb.iter().all(|s| (s.center() - position).length() < 0.005));
+        assert!((spot.radius - 0.005).abs() < 1e-6);
         assert!(spot.is_front_only() && spot.normal().dot(axis) > 0.999_99);
         assert!((spot.center() - position - 0.005 * axis).length() < 1e-6);
         assert!(scene.light_surfels(0.0).is_empty());
+    }
+
+    #[test]
+    fn bulbs_shine_alike_into_all_directions() {
+        let surfels: Vec<Surfel> = icosahedron(Vec3::ZERO, 1.0).collect();
+        let shown = |d: Vec3| -> f32 {
+            surfels.iter().map(|s| s.area * s.normal().dot(d).max(0.0)).sum::<f32>() / PI
+        };
+        let around = (0..1000).map(|i| {
+            let z = (i as f32 + 0.5) / 500.0 - 1.0;
+            let (sin, cos) = (i as f32 * 2.399_963).sin_cos();
+            shown(Vec3::new((1.0 - z * z).sqrt() * cos, (1.0 - z * z).sqrt() * sin, z))
+        });
+        let faces = surfels.iter().map(|s| shown(s.normal()));
+        for share in around.chain(faces) {
+            assert!((share - 1.0).abs() < 0.03, "{share}");
+        }
+        // Five faces meet at a corner, and the disk of each reaches it.
+        let edge = (surfels[0].area * 4.0 / 3f32.sqrt()).sqrt();
+        let corner = Vec3::new(1.0, 0.0, 1.618_034).normalize() * 0.951_056_5 * edge;
+        let reaches = |s: &&Surfel| (s.center() - corner).length() < 1.0001 * s.radius;
+        assert_eq!(surfels.iter().filter(reaches).count(), 5);
     }
 
     #[test]

@@ -106,6 +106,9 @@ fn parse_classes(text: &str) -> Result<Classes, String> {
 #[derive(clap::Args)]
 #[command(next_help_heading = "Light")]
 struct LightArgs {
+    /// Factor on point and spot lights of glTF files; 0.001464 (1/683) for those of Blender
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, allow_negative_numbers = true)]
+    light_scale: f32,
     /// Environment that lights the surfels, .exr or .hdr
     #[arg(long, value_name = "IMAGE")]
     env: Option<PathBuf>,
@@ -189,6 +192,7 @@ impl Args {
                 TwoSidedArg::All => TwoSided::All,
                 TwoSidedArg::None => TwoSided::None,
             },
+            light_scale: light.light_scale,
             cloud: CloudOptions {
                 invalid,
                 classes: surfels.class_filter(),
