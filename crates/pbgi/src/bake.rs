@@ -352,7 +352,8 @@ impl<'a> Baker<'a> {
     ) -> Result<(BuildReport, f32), PbgiError> {
         let start = Instant::now();
         let summary = *sorted.summary();
-        let name = if from.pass == 1 && self.light.has_environment() { "light" } else { "bounce" };
+        let bounce = from.pass - u32::from(self.light.has_environment());
+        let name = if bounce == 0 { "light" } else { "bounce" };
         let phase = self.progress.start_phase(name, "surfels", Some(summary.count));
         let radiance_bound = self.light.radiance_bound(summary.radiance_max, from.source_max);
         let pass = PassSettings {
@@ -370,8 +371,8 @@ impl<'a> Baker<'a> {
         let (reached, gathers) = (stream.radiance_max, stream.gathers);
         phase.set_done(build.surfels);
         drop(phase);
-        self.progress.detail(&format!("{name}: {gathers} gathers for {} surfels", build.surfels));
-        self.end_phase(name, start, build.surfels);
+        let report = PhaseReport::new(name, start.elapsed().as_secs_f64(), build.surfels);
+        self.report.phases.push(report.of_light(bounce, gathers));
         Ok((build, reached))
     }
 
