@@ -4,7 +4,7 @@ use crate::PbgiError;
 use crate::bake_memory::BakeMemory;
 use crate::bake_report::{BakeReport, BytesPerSurfel, PhaseReport};
 use crate::bake_request::{BakeRequest, NormalsChoice};
-use crate::input::{Inputs, SceneSampling};
+use crate::input::{Inputs, OctreeUse, SceneSampling};
 use crate::memory::{peak_resident_bytes, process_use};
 use crate::output_path::{folder_of, free_bytes, temporary_path};
 use crate::pass_files::{FinishedPass, PassFiles};
@@ -18,8 +18,8 @@ use pbgi_cloud::{Surfel, SurfelSource};
 use pbgi_light::UpAxis;
 use pbgi_math::Vec3;
 use pbgi_sort::{
-    Checkpoint, EstimateOptions, SortOptions, SortPhase, SortProgress, SortedSurfels,
-    SurfelSummary, estimate_surfels, pieces_in_flight, sort_surfels,
+    BUDGET_BYTES_MIN, Checkpoint, EstimateOptions, SortOptions, SortPhase, SortProgress,
+    SortedSurfels, SurfelSummary, estimate_surfels, pieces_in_flight, sort_surfels,
 };
 use pbgi_store::{Octree, OpenOptions};
 use std::path::Path;
@@ -53,7 +53,12 @@ pub fn bake(
         .num_threads(memory.threads)
         .build()
         .map_err(|e| PbgiError::failed(format!("cannot start {} threads: {e}", memory.threads)))?;
-    let mut inputs = pool.install(|| Inputs::open(&request.inputs, &request.cloud))?;
+    let octrees = match (request.light.is_any(), request.unlit) {
+        (false, _) => OctreeUse::Keep,
+        (true, false) => OctreeUse::Light,
+        (true, true) => OctreeUse::LightUnlit,
+    };
+    let mut inputs = pool.install(|| Inputs::open(&request.inputs, &request.cloud, octrees))?;
     check_canceled(cancel)?;
     let z_up = request.up.map_or(inputs.any_z_up, |up| up == UpAxis::Z);
     let light = pool.install(|| Light::load(&request.light, z_up))?;
@@ -110,6 +115,7 @@ impl<'a> Baker<'a> {
         let BakeRequest { sampling, two_sided, occlusion_only, .. } = *self.request;
         let light_scale = if occlusion_only { 0.0 } else { self.request.light_scale };
         let start = Instant::now();
+        let cache_bytes = inputs.cache_bytes;
         let (mut source, spacing) =
             inputs.read_as_one(SceneSampling { sampling, two_sided, light_scale })?;
         self.report.spacing = spacing;
@@ -119,7 +125,8 @@ impl<'a> Baker<'a> {
                  (--spacing or --surfels set it)"
             ));
         }
-        let budget_bytes = self.memory.sort_bytes()?;
+        let budget_bytes =
+            self.memory.sort_bytes()?.saturating_sub(cache_bytes).max(BUDGET_BYTES_MIN);
         self.progress.note(&format!(
             "memory limit {}: {} to sort with, {} in reserve; {} threads; temporary files in {}",
             format_bytes(self.request.memory_limit),

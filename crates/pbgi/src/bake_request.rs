@@ -45,6 +45,8 @@ pub struct BakeRequest {
     pub normals: NormalsChoice,
     /// Light to store.
     pub light: LightRequest,
+    /// What octree files among the inputs store as radiance is what their surfels emit: they were baked without environment and bounces.
+    pub unlit: bool,
     /// Keep the sorted surfels and the octree of the last pass of light until the bake is complete, and go on with what an earlier run has
     /// kept. Estimated sizes and normals are estimated again.
     pub resume: bool,
@@ -78,6 +80,7 @@ impl Default for BakeRequest {
             up: None,
             normals: NormalsChoice::default(),
             light: LightRequest::default(),
+            unlit: false,
             resume: false,
             temp_dir: None,
             memory_limit: 1 << 30,
@@ -156,8 +159,8 @@ impl BakeRequest {
             let facts = std::fs::metadata(path).ok().map(|m| (m.len(), m.modified().ok()));
             (std::fs::canonicalize(path).ok(), path, facts).hash(&mut hasher);
         }
-        let Self { sampling, two_sided, light_scale, cloud, up, normals, light, .. } = self;
-        format!("{sampling:?} {two_sided:?} {light_scale} {cloud:?} {up:?} {normals:?} {light:?}")
+        let Self { sampling, two_sided, light_scale, cloud, up, normals, light, unlit, .. } = self;
+        format!("{sampling:?} {two_sided:?} {light_scale} {cloud:?} {up:?} {normals:?} {light:?} {unlit}")
             .hash(&mut hasher);
         // The memory limit decides how large pieces are.
         (self.memory_limit, self.occlusion_only).hash(&mut hasher);

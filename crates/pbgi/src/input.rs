@@ -1,6 +1,7 @@
 //! Inputs as users name them: mesh files, point clouds, standard input, procedural scenes.
 
 use crate::PbgiError;
+use crate::octree_source::{OCTREE_CACHE_BYTES, OctreeSource};
 use pbgi_cloud::{
     CloudError, CloudOptions, ConcatSource, LazyCloud, PlyHeader, SliceSource, Surfel,
     SurfelSource, open_cloud, raw::RAW_MAGIC,
@@ -43,6 +44,8 @@ pub enum InputKind {
     Cloud,
     /// LiDAR points, `.las` or `.laz`: without normals, +Z up.
     Lidar,
+    /// An octree file, whose surfels are read back.
+    Octree,
     /// A scene made from its name, `demo:NAME?key=value`.
     Procedural,
 }
@@ -74,12 +77,13 @@ impl InputKind {
         match start.as_slice() {
             [] => Err(PbgiError::input(format!("{name}: the file is empty"))),
             magic if *magic == RAW_MAGIC => Ok(Self::Cloud),
+            magic if *magic == pbgi_format::MAGIC => Ok(Self::Octree),
             [b'L', b'A', b'S', b'F', ..] => Ok(Self::Lidar),
             [b'p', b'p', b't', b'c', ..] => Ok(Self::Cloud),
             [b'p', b'l', b'y', ..] => Self::of_ply(path),
             _ => Err(PbgiError::input(format!(
                 "{name}: not a file this program reads; expected a mesh (.glb, .gltf, .obj, .ply), \
-                 a point cloud (.ply, .las, .laz, .ptc, raw surfels), or demo:NAME for a procedural scene"
+                 a point cloud (.ply, .las, .laz, .ptc, raw surfels), an octree (.pbgi), or demo:NAME for a procedural scene"
             ))),
         }
     }
@@ -134,6 +138,17 @@ pub fn load_scene(name: &str) -> Result<Scene, PbgiError> {
     }
 }
 
+/// What becomes of the light that octree files store.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OctreeUse {
+    /// It is kept as it is.
+    Keep,
+    /// Their surfels are lit; files that store light are refused.
+    Light,
+    /// Their surfels are lit; what files store is what surfels emit.
+    LightUnlit,
+}
+
 /// One input, opened.
 enum Content {
     Scene {
@@ -157,6 +172,8 @@ pub struct Inputs {
     pub any_z_up: bool,
     /// Whether any input may lack normals.
     pub any_lacks_normals: bool,
+    /// Bytes that page caches of octree files may hold.
+    pub cache_bytes: u64,
     /// Lights that became surfels, once inputs are read.
     pub light_count: usize,
 }
@@ -178,7 +195,11 @@ impl Inputs {
     /// # Errors
     ///
     /// Names the first input that cannot be read.
-    pub fn open(names: &[String], options: &CloudOptions) -> Result<Self, PbgiError> {
+    pub fn open(
+        names: &[String],
+        options: &CloudOptions,
+        octrees: OctreeUse,
+    ) -> Result<Self, PbgiError> {
         if names.is_empty() {
             return Err(PbgiError::usage("no input; name meshes, point clouds or demo:street"));
         }
@@ -193,10 +214,19 @@ impl Inputs {
             warnings: Vec::new(),
             any_z_up: kinds.iter().any(|kind| kind.is_z_up()),
             any_lacks_normals: kinds.iter().any(|kind| kind.lacks_normals()),
+            cache_bytes: 0,
             light_count: 0,
         };
         for (name, kind) in names.iter().zip(kinds) {
-            let content = if kind.is_mesh() {
+            let content = if kind == InputKind::Octree {
+                let octree = OctreeSource::open(Path::new(name))?;
+                if octrees != OctreeUse::Keep {
+                    octree.check_relightable(octrees == OctreeUse::LightUnlit)?;
+                }
+                inputs.any_z_up |= octree.header().flags.z_up;
+                inputs.cache_bytes += OCTREE_CACHE_BYTES;
+                Content::Cloud(Some(Box::new(octree)))
+            } else if kind.is_mesh() {
                 let spec = ProceduralSpec::parse(name).ok();
                 let scene = load_scene(name)?;
                 inputs.warnings.extend(scene.warnings.iter().map(|w| format!("{name}: {w}")));
@@ -384,7 +414,7 @@ mod tests {
             write(folder.path(), name, &text)
         };
         let names = [square("a.obj", 1.0), square("b.obj", 3.0), "demo:room?surfels=5k".to_owned()];
-        let mut inputs = Inputs::open(&names, &CloudOptions::default()).unwrap();
+        let mut inputs = Inputs::open(&names, &CloudOptions::default(), OctreeUse::Keep).unwrap();
         let spacings = inputs.choose_spacings(Sampling::Surfels(10_000), TwoSided::None).unwrap();
         assert_eq!(spacings, [1000, 9000, 5000].map(Spacing::Count));
         let sampling = Sampling::Surfels(10_000);

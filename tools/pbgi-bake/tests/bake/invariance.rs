@@ -137,7 +137,7 @@ fn light_that_cannot_be_is_a_warning() {
 }
 
 /// An equirectangular image of radiance 1, in the flat form of Radiance HDR.
-fn write_gray_environment(bench: &Bench) {
+pub fn write_gray_environment(bench: &Bench) {
     let mut bytes = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4 +X 8\n".to_vec();
     bytes.extend([128, 128, 128, 129].repeat(32));
     bench.write("sky.hdr", bytes);
