@@ -73,7 +73,7 @@ fn errors(octree: &Octree, raster_edge: usize, solid_angle_sr: f32) -> (f32, f32
     (sum, squares.sqrt())
 }
 
-/// Surfel by surfel what is left is the light's own shape, within 3 %, and that a texel has but one cosine; as clusters, a little more.
+/// Surfel by surfel what is left is the light's own shape, within 5 %, and that a texel has but one cosine; as clusters, a little more.
 #[test]
 fn a_ground_under_lights_has_their_irradiance() {
     let folder = tempfile::tempdir().unwrap();

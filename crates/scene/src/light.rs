@@ -33,7 +33,7 @@ impl Scene {
     /// Their size *r* is a thousandth of the diagonal of [`Scene::bounds`], their radiance *I*/(π*r*²), their albedo 0. A light along an axis
     /// is a disk of radius *r* that faces it, blocks nothing behind it, and lies *r* ahead, so that no surface
     /// it is mounted on hides it. One into all directions is an icosahedron of the area 4π*r*², a surfel per face: it shows π*r*² on
-    /// average, and within 3 % of that to every direction (`tests::bulbs_shine_alike_into_all_directions`).
+    /// average, and within 5 % of that to every direction (`tests::bulbs_shine_alike_into_all_directions`).
     #[must_use]
     pub fn light_surfels(&self, scale: f32) -> Vec<Surfel> {
         let radius = self.light_radius();
@@ -152,7 +152,7 @@ mod tests {
         });
         let faces = surfels.iter().map(|s| shown(s.normal()));
         for share in around.chain(faces) {
-            assert!((share - 1.0).abs() < 0.03, "{share}");
+            assert!((share - 1.0).abs() < 0.05, "{share}");
         }
         // Five faces meet at a corner, and the disk of each reaches it.
         let edge = (surfels[0].area * 4.0 / 3f32.sqrt()).sqrt();
