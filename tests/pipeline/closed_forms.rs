@@ -3,7 +3,7 @@
 use crate::support::bake_and_open;
 use pbgi_build::BuildOptions;
 use pbgi_cloud::{Surfel, SurfelFlags};
-use pbgi_math::Vec3;
+use pbgi_math::{Mat3, Vec3};
 use pbgi_schedule::{GatherSettings, Gatherer, ImportanceTerms, Receiver};
 use pbgi_store::Octree;
 use pbgi_testkit::{SurfelForm, closed_room, random_objects, ray_cast_gather, sphere_directions};
@@ -123,6 +123,27 @@ fn slats_hide_what_lies_behind_them() {
     };
     assert!(openness(0.0) < 0.05, "{}", openness(0.0));
     assert!(openness(0.5 * step) > 0.999, "{}", openness(0.5 * step));
+}
+
+/// Disks of a scanned box, as wide as estimated ones are, reach far over its edges. From a side of it, the ones of the next side are seen
+/// from behind, and hide nothing: a convex thing hides no sky from itself. It stands askew, so that nodes rise above the side's plane.
+#[test]
+fn disks_that_reach_over_a_convex_edge_hide_nothing() {
+    let (half, per_edge) = (Vec3::new(0.8, 1.0, 0.6), 20);
+    let radius = |s: &Surfel| 2.0 * (s.area * FRAC_1_PI).sqrt();
+    let turn = Mat3::from_axis_angle(Vec3::new(1.0, 2.0, -0.7).normalize(), 0.7);
+    let outward =
+        |s: Surfel| Surfel::new(turn * s.center(), turn * -s.normal(), radius(&s), s.area);
+    let room = closed_room(half, per_edge, 0.0, SurfelForm::Disks);
+    let surfels: Vec<Surfel> = room.into_iter().map(outward).collect();
+    let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
+    let settings = GatherSettings { solid_angle_sr: 0.0, ..GatherSettings::default() };
+    let step = 2.0 * half / per_edge as f32;
+    for [u, v] in [[0.05, 0.05], [0.3, 5.3], [0.5, 0.5], [7.1, 0.2], [1.0, 4.0]] {
+        let place = Vec3::new(half.x - u * step.x, half.y, half.z - v * step.z);
+        let found = gather(&octree, &settings, Receiver::diffuse(turn * place, turn * Vec3::Y));
+        assert!(found.ambient_occlusion > 0.999, "{u} {v}: {}", found.ambient_occlusion);
+    }
 }
 
 /// With a zero threshold the gather is that of rays against the disks, up to the raster's resolution.

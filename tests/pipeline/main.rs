@@ -4,6 +4,8 @@
 mod closed_forms;
 mod faults;
 mod format_document;
+mod leaks;
+mod lights;
 mod octree_file;
 mod reflections;
 mod schedule;

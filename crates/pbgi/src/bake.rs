@@ -5,7 +5,7 @@ use crate::bake_memory::BakeMemory;
 use crate::bake_report::{BakeReport, BytesPerSurfel, PhaseReport};
 use crate::bake_request::{BakeRequest, NormalsChoice};
 use crate::disk_space::{DiskSpace, DiskUse};
-use crate::input::Inputs;
+use crate::input::{Inputs, OctreeUse, SceneSampling};
 use crate::memory::{peak_resident_bytes, process_use};
 use crate::output_path::{are_on_one_disk, folder_of, free_bytes, temporary_path};
 use crate::pass_files::{FinishedPass, PassFiles};
@@ -19,8 +19,8 @@ use pbgi_cloud::{Surfel, SurfelSource};
 use pbgi_light::UpAxis;
 use pbgi_math::Vec3;
 use pbgi_sort::{
-    Checkpoint, EstimateOptions, SortOptions, SortPhase, SortProgress, SortedSurfels,
-    SurfelSummary, estimate_surfels, pieces_in_flight, sort_surfels,
+    BUDGET_BYTES_MIN, Checkpoint, EstimateOptions, SortOptions, SortPhase, SortProgress,
+    SortedSurfels, SurfelSummary, estimate_surfels, pieces_in_flight, sort_surfels,
 };
 use pbgi_store::{Octree, OpenOptions};
 use std::path::Path;
@@ -54,7 +54,12 @@ pub fn bake(
         .num_threads(memory.threads)
         .build()
         .map_err(|e| PbgiError::failed(format!("cannot start {} threads: {e}", memory.threads)))?;
-    let mut inputs = pool.install(|| Inputs::open(&request.inputs, &request.cloud))?;
+    let octrees = match (request.light.is_any(), request.unlit) {
+        (false, _) => OctreeUse::Keep,
+        (true, false) => OctreeUse::Light,
+        (true, true) => OctreeUse::LightUnlit,
+    };
+    let mut inputs = pool.install(|| Inputs::open(&request.inputs, &request.cloud, octrees))?;
     check_canceled(cancel)?;
     let z_up = request.up.map_or(inputs.any_z_up, |up| up == UpAxis::Z);
     let light = pool.install(|| Light::load(&request.light, z_up))?;
@@ -76,6 +81,7 @@ pub fn bake(
     baker.remove_leftovers()?;
     let sorted = pool.install(|| baker.sort(&mut inputs))?;
     baker.report.warnings.append(&mut inputs.warnings);
+    baker.report.lights = inputs.light_count as u64;
     let lacks_normals = inputs.any_lacks_normals;
     // Meshes are not needed any more; what they held goes to the page cache.
     drop((inputs, pool));
@@ -104,9 +110,12 @@ struct Baker<'a> {
 impl<'a> Baker<'a> {
     /// Dices meshes, reads clouds, and sorts it all.
     fn sort(&mut self, inputs: &mut Inputs) -> Result<SortedSurfels, PbgiError> {
-        let (sampling, two_sided) = (self.request.sampling, self.request.two_sided);
+        let BakeRequest { sampling, two_sided, occlusion_only, .. } = *self.request;
+        let light_scale = if occlusion_only { 0.0 } else { self.request.light_scale };
         let start = Instant::now();
-        let (mut source, spacing) = inputs.read_as_one(sampling, two_sided)?;
+        let cache_bytes = inputs.cache_bytes;
+        let (mut source, spacing) =
+            inputs.read_as_one(SceneSampling { sampling, two_sided, light_scale })?;
         self.report.spacing = spacing;
         if let Some(spacing) = spacing {
             self.progress.note(&format!(
@@ -114,7 +123,8 @@ impl<'a> Baker<'a> {
                  (--spacing or --surfels set it)"
             ));
         }
-        let budget_bytes = self.memory.sort_bytes()?;
+        let budget_bytes =
+            self.memory.sort_bytes()?.saturating_sub(cache_bytes).max(BUDGET_BYTES_MIN);
         self.progress.note(&format!(
             "memory limit {}: {} to sort with, {} in reserve; {} threads; temporary files in {}",
             format_bytes(self.request.memory_limit),
@@ -353,7 +363,8 @@ impl<'a> Baker<'a> {
     ) -> Result<(BuildReport, f32), PbgiError> {
         let start = Instant::now();
         let summary = *sorted.summary();
-        let name = if from.pass == 1 && self.light.has_environment() { "light" } else { "bounce" };
+        let bounce = from.pass - u32::from(self.light.has_environment());
+        let name = if bounce == 0 { "light" } else { "bounce" };
         let phase = self.progress.start_phase(name, "surfels", Some(summary.count));
         let radiance_bound = self.light.radiance_bound(summary.radiance_max, from.source_max);
         let pass = PassSettings {
@@ -371,8 +382,8 @@ impl<'a> Baker<'a> {
         let (reached, gathers) = (stream.radiance_max, stream.gathers);
         phase.set_done(build.surfels);
         drop(phase);
-        self.progress.detail(&format!("{name}: {gathers} gathers for {} surfels", build.surfels));
-        self.end_phase(name, start, build.surfels);
+        let report = PhaseReport::new(name, start.elapsed().as_secs_f64(), build.surfels);
+        self.report.phases.push(report.of_light(bounce, gathers));
         Ok((build, reached))
     }
 

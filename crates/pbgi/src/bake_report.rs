@@ -31,6 +31,8 @@ pub struct BakeReport {
     pub bytes_per_surfel: BytesPerSurfel,
     /// Coarsest spacing meshes were diced with, in scene units; none without meshes.
     pub spacing: Option<f64>,
+    /// Point and spot lights that became surfels.
+    pub lights: u64,
     /// Estimated sizes, where the clouds had none.
     pub estimated_sizes: u64,
     /// Estimated normals, where the clouds had none.
@@ -97,15 +99,36 @@ impl BytesPerSurfel {
 pub struct PhaseReport {
     /// Its name.
     pub name: &'static str,
+    /// Of a pass of light, which bounce it is, from 1; 0 is the environment's.
+    pub bounce: Option<u32>,
     /// Seconds of wall time.
     pub seconds: f64,
     /// Surfels per second.
     pub surfels_per_second: f64,
+    /// Gathers of a pass of light: as many as surfels, or fewer where neighbors share them (`--bounce-share`).
+    pub gathers: Option<u64>,
 }
 
 impl PhaseReport {
     pub(crate) fn new(name: &'static str, seconds: f64, surfels: u64) -> Self {
-        Self { name, seconds, surfels_per_second: surfels as f64 / seconds.max(1e-9) }
+        let surfels_per_second = surfels as f64 / seconds.max(1e-9);
+        Self { name, bounce: None, seconds, surfels_per_second, gathers: None }
+    }
+
+    /// The same, of a pass of light.
+    pub(crate) fn of_light(self, bounce: u32, gathers: u64) -> Self {
+        Self { bounce: Some(bounce), gathers: Some(gathers), ..self }
+    }
+
+    /// Time and rate, behind the number of the bounce if there may be several.
+    fn text(&self) -> String {
+        let (seconds, rate) = (format_seconds(self.seconds), format_count(self.surfels_per_second));
+        let gathers = self.gathers.map_or(String::new(), |gathers| {
+            let per_second = gathers as f64 / self.seconds.max(1e-9);
+            format!(", {} gathers/s", format_count(per_second))
+        });
+        let number = self.bounce.filter(|&b| b > 0).map_or(String::new(), |b| format!("{b}: "));
+        format!("{number}{seconds}, {rate} surfels/s{gathers}")
     }
 }
 
@@ -135,6 +158,9 @@ impl BakeReport {
         if let Some(spacing) = self.spacing {
             rows.push(("spacing", format!("{spacing:.6} (--spacing or --surfels set it)")));
         }
+        if self.lights > 0 {
+            rows.push(("lights", format!("{} (--light-scale scales them)", self.lights)));
+        }
         if self.skipped > 0 {
             rows.push(("skipped", format!("{} invalid records", self.skipped)));
         }
@@ -148,8 +174,7 @@ impl BakeReport {
             rows.push(("estimated", format!("{sizes} sizes, {normals} normals")));
         }
         for phase in &self.phases {
-            let text = format_seconds(phase.seconds);
-            rows.push((phase.name, format!("{text}, {}", rate(phase.surfels_per_second))));
+            rows.push((phase.name, phase.text()));
         }
         let total = format_seconds(self.seconds);
         rows.push(("total", format!("{total}, {}", rate(self.surfels_per_second))));
@@ -181,6 +206,20 @@ mod tests {
             overhead_bytes: 100,
         };
         assert!((BytesPerSurfel::new(&build).total() - 23.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn every_bounce_has_its_row() {
+        let light = PhaseReport::new("light", 2.0, 1000).of_light(0, 1000);
+        let bounces = (1..3).map(|b| PhaseReport::new("bounce", 0.5, 1000).of_light(b, 100));
+        let phases = std::iter::once(light).chain(bounces).collect();
+        let rows = BakeReport { phases, ..BakeReport::default() }.rows();
+        let of =
+            |name| rows.iter().filter(|r| r.0 == name).map(|r| r.1.as_str()).collect::<Vec<_>>();
+        assert!(of("light")[0].ends_with("500 surfels/s, 500 gathers/s"), "{rows:?}");
+        let [first, second] = of("bounce")[..] else { panic!("{rows:?}") };
+        assert!(first.starts_with("1: ") && second.starts_with("2: "), "{rows:?}");
+        assert!(second.ends_with("200 gathers/s"), "{rows:?}");
     }
 
     #[test]

@@ -35,6 +35,8 @@ pub struct BakeRequest {
     pub sampling: Sampling,
     /// Which surfaces get a surfel for each side.
     pub two_sided: TwoSided,
+    /// Factor on the intensity of point and spot lights, 0 or more; 0 leaves them out.
+    pub light_scale: f32,
     /// How records of clouds become surfels.
     pub cloud: CloudOptions,
     /// The upward axis; +Z with LiDAR input and +Y otherwise, where not given.
@@ -43,6 +45,8 @@ pub struct BakeRequest {
     pub normals: NormalsChoice,
     /// Light to store.
     pub light: LightRequest,
+    /// What octree files among the inputs store as radiance is what their surfels emit: they were baked without environment and bounces.
+    pub unlit: bool,
     /// Keep the sorted surfels and the octree of the last pass of light until the bake is complete, and go on with what an earlier run has
     /// kept. Estimated sizes and normals are estimated again.
     pub resume: bool,
@@ -71,10 +75,12 @@ impl Default for BakeRequest {
             force: false,
             sampling: Sampling::default(),
             two_sided: TwoSided::default(),
+            light_scale: 1.0,
             cloud: CloudOptions::default(),
             up: None,
             normals: NormalsChoice::default(),
             light: LightRequest::default(),
+            unlit: false,
             resume: false,
             temp_dir: None,
             memory_limit: 1 << 30,
@@ -117,6 +123,12 @@ impl BakeRequest {
             }
             _ => {}
         }
+        if !(0.0..=f32::MAX).contains(&self.light_scale) {
+            return Err(PbgiError::usage(format!(
+                "--light-scale {} is out of range; expected a factor of 0 or more",
+                self.light_scale
+            )));
+        }
         if self.occlusion_only && self.light.is_any() {
             return Err(PbgiError::usage(
                 "--occlusion-only stores no light; leave out --env and --bounces",
@@ -147,8 +159,8 @@ impl BakeRequest {
             let facts = std::fs::metadata(path).ok().map(|m| (m.len(), m.modified().ok()));
             (std::fs::canonicalize(path).ok(), path, facts).hash(&mut hasher);
         }
-        let Self { sampling, two_sided, cloud, up, normals, light, .. } = self;
-        format!("{sampling:?} {two_sided:?} {cloud:?} {up:?} {normals:?} {light:?}")
+        let Self { sampling, two_sided, light_scale, cloud, up, normals, light, unlit, .. } = self;
+        format!("{sampling:?} {two_sided:?} {light_scale} {cloud:?} {up:?} {normals:?} {light:?} {unlit}")
             .hash(&mut hasher);
         // The memory limit decides how large pieces are.
         (self.memory_limit, self.occlusion_only).hash(&mut hasher);
@@ -176,6 +188,8 @@ mod tests {
             BakeRequest { memory_limit: 1 << 20, ..good() },
             BakeRequest { sampling: Sampling::Spacing(f32::NAN), ..good() },
             BakeRequest { sampling: Sampling::Surfels(0), ..good() },
+            BakeRequest { light_scale: -1.0, ..good() },
+            BakeRequest { light_scale: f32::NAN, ..good() },
             BakeRequest { occlusion_only: true, light, ..good() },
             BakeRequest { temp_dir: Some("none/such".into()), ..good() },
             BakeRequest { resume: true, inputs: vec!["-".into()], ..good() },

@@ -1,9 +1,10 @@
 //! Inputs as users name them: mesh files, point clouds, standard input, procedural scenes.
 
 use crate::PbgiError;
+use crate::octree_source::{OCTREE_CACHE_BYTES, OctreeSource};
 use pbgi_cloud::{
-    CloudError, CloudOptions, ConcatSource, LAS_MAGIC, LazyCloud, PlyHeader, SurfelSource,
-    open_cloud, raw::RAW_MAGIC,
+    CloudError, CloudOptions, ConcatSource, LAS_MAGIC, LazyCloud, PlyHeader, SliceSource, Surfel,
+    SurfelSource, open_cloud, raw::RAW_MAGIC,
 };
 use pbgi_scene::{
     DiceError, DiceOptions, DicedScene, ProceduralSpec, Scene, Spacing, TwoSided, procedural_scene,
@@ -43,6 +44,8 @@ pub enum InputKind {
     Cloud,
     /// LiDAR points, `.las` or `.laz`: without normals, +Z up.
     Lidar,
+    /// An octree file, whose surfels are read back.
+    Octree,
     /// A scene made from its name, `demo:NAME?key=value`.
     Procedural,
 }
@@ -74,12 +77,13 @@ impl InputKind {
         match start.as_slice() {
             [] => Err(PbgiError::input(format!("{name}: the file is empty"))),
             magic if *magic == RAW_MAGIC => Ok(Self::Cloud),
+            magic if *magic == pbgi_format::MAGIC => Ok(Self::Octree),
             start if start.starts_with(&LAS_MAGIC) => Ok(Self::Lidar),
             [b'p', b'p', b't', b'c', ..] => Ok(Self::Cloud),
             [b'p', b'l', b'y', ..] => Self::of_ply(path),
             _ => Err(PbgiError::input(format!(
                 "{name}: not a file this program reads; expected a mesh (.glb, .gltf, .obj, .ply), \
-                 a point cloud (.ply, .las, .laz, .ptc, raw surfels), or demo:NAME for a procedural scene"
+                 a point cloud (.ply, .las, .laz, .ptc, raw surfels), an octree (.pbgi), or demo:NAME for a procedural scene"
             ))),
         }
     }
@@ -134,12 +138,25 @@ pub fn load_scene(name: &str) -> Result<Scene, PbgiError> {
     }
 }
 
+/// What becomes of the light that octree files store.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OctreeUse {
+    /// It is kept as it is.
+    Keep,
+    /// Their surfels are lit; files that store light are refused.
+    Light,
+    /// Their surfels are lit; what files store is what surfels emit.
+    LightUnlit,
+}
+
 /// One input, opened.
 enum Content {
     Scene {
         scene: Scene,
         /// Surfels the name itself asks for.
         surfels: Option<u64>,
+        /// Its lights, once it is read.
+        lights: Vec<Surfel>,
     },
     /// Taken when it is read.
     Cloud(Option<Box<dyn SurfelSource>>),
@@ -155,6 +172,21 @@ pub struct Inputs {
     pub any_z_up: bool,
     /// Whether any input may lack normals.
     pub any_lacks_normals: bool,
+    /// Bytes that page caches of octree files may hold.
+    pub cache_bytes: u64,
+    /// Lights that became surfels, once inputs are read.
+    pub light_count: usize,
+}
+
+/// How scenes become surfels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SceneSampling {
+    /// How fine.
+    pub sampling: Sampling,
+    /// Which surfaces get a surfel for each side.
+    pub two_sided: TwoSided,
+    /// Factor on the intensity of lights; 0 leaves them out.
+    pub light_scale: f32,
 }
 
 impl Inputs {
@@ -163,7 +195,11 @@ impl Inputs {
     /// # Errors
     ///
     /// Names the first input that cannot be read.
-    pub fn open(names: &[String], options: &CloudOptions) -> Result<Self, PbgiError> {
+    pub fn open(
+        names: &[String],
+        options: &CloudOptions,
+        octrees: OctreeUse,
+    ) -> Result<Self, PbgiError> {
         if names.is_empty() {
             return Err(PbgiError::usage("no input; name meshes, point clouds or demo:street"));
         }
@@ -178,13 +214,24 @@ impl Inputs {
             warnings: Vec::new(),
             any_z_up: kinds.iter().any(|kind| kind.is_z_up()),
             any_lacks_normals: kinds.iter().any(|kind| kind.lacks_normals()),
+            cache_bytes: 0,
+            light_count: 0,
         };
         for (name, kind) in names.iter().zip(kinds) {
-            let content = if kind.is_mesh() {
+            let content = if kind == InputKind::Octree {
+                let octree = OctreeSource::open(Path::new(name))?;
+                if octrees != OctreeUse::Keep {
+                    octree.check_relightable(octrees == OctreeUse::LightUnlit)?;
+                }
+                inputs.any_z_up |= octree.header().flags.z_up;
+                inputs.cache_bytes += OCTREE_CACHE_BYTES;
+                Content::Cloud(Some(Box::new(octree)))
+            } else if kind.is_mesh() {
                 let spec = ProceduralSpec::parse(name).ok();
                 let scene = load_scene(name)?;
                 inputs.warnings.extend(scene.warnings.iter().map(|w| format!("{name}: {w}")));
-                Content::Scene { scene, surfels: spec.and_then(|spec| spec.surfels) }
+                let surfels = spec.and_then(|spec| spec.surfels);
+                Content::Scene { scene, surfels, lights: Vec::new() }
             } else {
                 Content::Cloud(Some(open_for_later(Path::new(name), options)?))
             };
@@ -199,19 +246,19 @@ impl Inputs {
         self.contents.iter().any(|c| matches!(c, Content::Cloud(_)))
     }
 
-    /// All inputs as one stream, in their order, and the coarsest spacing meshes are diced with.
-    /// Clouds can be read once only.
+    /// All inputs as one stream, in their order, each scene's lights behind its micropolygons, and the coarsest spacing
+    /// meshes are diced with. Clouds can be read once only.
     ///
     /// # Errors
     ///
     /// If a scene cannot be diced.
     pub fn read_as_one(
         &mut self,
-        sampling: Sampling,
-        two_sided: TwoSided,
+        how: SceneSampling,
     ) -> Result<(ConcatSource<'_>, Option<f64>), PbgiError> {
-        let spacings = self.choose_spacings(sampling, two_sided)?;
-        let Self { names, contents, warnings, .. } = self;
+        let two_sided = how.two_sided;
+        let spacings = self.choose_spacings(how.sampling, two_sided)?;
+        let Self { names, contents, warnings, light_count, .. } = self;
         let mut sources: Vec<Box<dyn SurfelSource + '_>> = Vec::new();
         let mut coarsest: Option<f64> = None;
         for ((name, content), spacing) in names.iter().zip(contents).zip(spacings) {
@@ -221,13 +268,16 @@ impl Inputs {
                         PbgiError::failed(format!("{name}: a cloud can be read once only"))
                     })?);
                 }
-                Content::Scene { scene, .. } => {
+                Content::Scene { scene, lights, .. } => {
+                    *lights = scene.light_surfels(how.light_scale);
+                    *light_count += if lights.is_empty() { 0 } else { scene.lights.len() };
                     let diced = dice(name, scene, DiceOptions { spacing, two_sided })?;
                     warnings.extend(dicing_warnings(name, &diced));
                     if diced.spacing().is_finite() {
                         coarsest = Some(coarsest.unwrap_or(0.0).max(diced.spacing()));
                     }
                     sources.push(Box::new(diced));
+                    sources.push(Box::new(SliceSource::new(lights)));
                 }
             }
         }
@@ -251,7 +301,7 @@ impl Inputs {
         let mut areas = Vec::new();
         for (name, content) in self.names.iter().zip(&self.contents) {
             areas.push(match content {
-                Content::Scene { scene, surfels: None } if is_shared => {
+                Content::Scene { scene, surfels: None, .. } if is_shared => {
                     let spacing = Spacing::Length(f32::INFINITY);
                     dice(name, scene, DiceOptions { spacing, two_sided })?.area()
                 }
@@ -364,11 +414,12 @@ mod tests {
             write(folder.path(), name, &text)
         };
         let names = [square("a.obj", 1.0), square("b.obj", 3.0), "demo:room?surfels=5k".to_owned()];
-        let mut inputs = Inputs::open(&names, &CloudOptions::default()).unwrap();
+        let mut inputs = Inputs::open(&names, &CloudOptions::default(), OctreeUse::Keep).unwrap();
         let spacings = inputs.choose_spacings(Sampling::Surfels(10_000), TwoSided::None).unwrap();
         assert_eq!(spacings, [1000, 9000, 5000].map(Spacing::Count));
-        let (mut source, spacing) =
-            inputs.read_as_one(Sampling::Surfels(10_000), TwoSided::None).unwrap();
+        let sampling = Sampling::Surfels(10_000);
+        let how = SceneSampling { sampling, two_sided: TwoSided::None, light_scale: 1.0 };
+        let (mut source, spacing) = inputs.read_as_one(how).unwrap();
         assert!(spacing.is_some_and(|s| s > 0.0));
         let (mut surfels, announced) = (Vec::new(), source.count().unwrap());
         while source.read_chunk(&mut surfels).unwrap() {}

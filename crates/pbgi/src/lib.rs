@@ -28,6 +28,7 @@ mod inspect;
 mod interpolate;
 mod memory;
 mod memory_split;
+mod octree_source;
 mod output;
 mod output_path;
 mod pass_files;

@@ -58,13 +58,17 @@ fn main_face(d: Vec3) -> CubeFace {
     CubeFace(base + u8::from(along < 0.0))
 }
 
+/// Coordinates below this are inside a face: 1 but for what a product with a reciprocal may be rounded by. A flat box that stands on the border
+/// of two faces must not be taken for one inside a face.
+const INSIDE: f32 = 1.0 - 4.0 * f32::EPSILON;
+
 /// Visits the rectangles of the box `low..=high` on all faces it reaches, at most six. The box is given
 /// relative to the cube's center, which it must not contain.
 #[inline(always)]
 pub(crate) fn project_box(low: Vec3, high: Vec3, mut visit: impl FnMut(&FaceRectangle)) {
     if let Some(main) = project_on_face(low, high, main_face(low + high)) {
         // Strictly inside one face: the common case by far.
-        if main.u0 > -1.0 && main.u1 < 1.0 && main.v0 > -1.0 && main.v1 < 1.0 {
+        if larger(larger(-main.u0, main.u1), larger(-main.v0, main.v1)) < INSIDE {
             visit(&main);
             return;
         }
@@ -115,6 +119,19 @@ mod tests {
                 });
                 assert!(inside, "{low} {high}: {p}");
             }
+        }
+    }
+
+    #[test]
+    fn flat_boxes_over_the_border_of_faces_fall_on_both() {
+        for i in 1..2000 {
+            let depth = i as f32 * 0.000_713;
+            let (low, high) = (
+                Vec3::new(-0.1 * depth, 0.7 * depth, -depth),
+                Vec3::new(0.2 * depth, 1.5 * depth, -depth),
+            );
+            let rectangles = rectangles(low, high);
+            assert_eq!(rectangles.len(), 2, "{depth}: {rectangles:?}");
         }
     }
 

@@ -1,4 +1,4 @@
-//! Meshes, materials and cameras: what surfels and receivers are made from.
+//! Meshes, materials, lights and cameras: what surfels and receivers are made from.
 //!
 //! Reads scene files, dices meshes into micropolygons (one surfel each), hides what the camera does not see.
 //! This crate must never know how surfels are stored or how light is gathered.
@@ -9,6 +9,7 @@ mod decode_texture;
 mod dice;
 mod error;
 mod hide;
+mod light;
 mod model;
 mod procedural;
 mod read_gltf;
@@ -24,6 +25,7 @@ pub use hide::{
     Coverage, Disk, Fragment, HideError, HideOptions, Micropolygon, PixelWindow, VisibleSet,
     VisibleSurfels, hide, hide_disks,
 };
+pub use light::PunctualLight;
 pub use model::{Camera, Instance, Material, Mesh, Scene};
 pub use procedural::{ProceduralError, ProceduralScene, ProceduralSpec, procedural_scene};
 pub use read_scene::read_scene;

@@ -1,6 +1,6 @@
-//! The scene in memory: meshes placed by instances, materials, textures, cameras.
+//! The scene in memory: meshes placed by instances, materials, textures, cameras, lights.
 
-use crate::Texture;
+use crate::{PunctualLight, Texture};
 use pbgi_math::{Aabb, Affine3A, Vec2, Vec3};
 
 /// A triangle mesh with one material.
@@ -131,6 +131,8 @@ pub struct Scene {
     pub textures: Vec<Texture>,
     /// Cameras, in world space.
     pub cameras: Vec<Camera>,
+    /// Lights without extent, in file order.
+    pub lights: Vec<PunctualLight>,
     /// What was left out or read differently than the file says, one sentence each.
     pub warnings: Vec<String>,
 }

@@ -22,4 +22,4 @@ pub use source::{Backend, FileState, PageSource};
 pub use stats::{CacheStats, ReaderStats};
 pub use trace::{PageTrace, TraceChunk};
 pub use verify::{LevelCounts, VerifyReport};
-pub use walk::{for_each_leaf, try_for_each_leaf};
+pub use walk::{LeafWalk, for_each_leaf, try_for_each_leaf};

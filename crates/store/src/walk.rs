@@ -1,7 +1,7 @@
 //! All surfels of a file in the order of the Morton curve.
 
 use crate::error::StoreError;
-use crate::octree::Reader;
+use crate::octree::{Octree, Reader};
 use pbgi_format::{ChildLink, FormatError, GroupView, LeafSurfel, NodePage, PageId, SurfelPage};
 use pbgi_math::Aabb;
 
@@ -39,34 +39,66 @@ pub fn try_for_each_leaf<E: From<StoreError>>(
     reader: &mut Reader<'_>,
     mut visit: impl FnMut(u64, &[LeafSurfel]) -> Result<(), E>,
 ) -> Result<(), E> {
-    let header = *reader.octree().header();
-    let mut surfels = Vec::new();
-    let (mut groups, mut done) = (0, 0);
-    let mut stack =
-        vec![Visit::Group { page: header.root_page, offset: header.root_offset, depth: 0 }];
-    while let Some(next) = stack.pop() {
-        match next {
-            Visit::Group { page, offset, depth } => {
-                // Links of a damaged file may form a cycle.
-                if depth >= header.depth || groups > header.node_count {
-                    return Err(invalid(reader, page, "tree: depth", depth, header.depth).into());
+    let mut walk = LeafWalk::new(reader.octree());
+    while let Some((first, surfels)) = walk.next_leaf(reader)? {
+        visit(first, surfels)?;
+    }
+    Ok(())
+}
+
+/// A walk over all leaves that rests between them.
+pub struct LeafWalk {
+    stack: Vec<Visit>,
+    /// Groups and surfels so far.
+    groups: u64,
+    done: u64,
+    surfels: Vec<LeafSurfel>,
+}
+
+impl LeafWalk {
+    /// At the first leaf of `octree`.
+    #[must_use]
+    pub fn new(octree: &Octree) -> Self {
+        let header = octree.header();
+        let root = Visit::Group { page: header.root_page, offset: header.root_offset, depth: 0 };
+        Self { stack: vec![root], groups: 0, done: 0, surfels: Vec::new() }
+    }
+
+    /// The next leaf, as [`for_each_leaf`] gives it, through a reader of the octree the walk began in; `None` after the last.
+    ///
+    /// # Errors
+    ///
+    /// If a page cannot be read or contradicts itself.
+    pub fn next_leaf(
+        &mut self,
+        reader: &mut Reader<'_>,
+    ) -> Result<Option<(u64, &[LeafSurfel])>, StoreError> {
+        let header = *reader.octree().header();
+        while let Some(next) = self.stack.pop() {
+            match next {
+                Visit::Group { page, offset, depth } => {
+                    // Links of a damaged file may form a cycle.
+                    if depth >= header.depth || self.groups > header.node_count {
+                        return Err(invalid(reader, page, "tree: depth", depth, header.depth));
+                    }
+                    self.groups += 1;
+                    push_children(reader, page, offset, depth, &mut self.stack)?;
                 }
-                groups += 1;
-                push_children(reader, page, offset, depth, &mut stack)?;
-            }
-            Visit::Leaf { node_page, page, place, frame } => {
-                let Some(page) = page else {
-                    let place = "leaf: surfel page";
-                    return Err(invalid(reader, node_page, place, "none", "a page").into());
-                };
-                if read_leaf(reader, page, place, &frame, &mut surfels)? {
-                    visit(done, &surfels)?;
-                    done += surfels.len() as u64;
+                Visit::Leaf { node_page, page, place, frame } => {
+                    let Some(page) = page else {
+                        let place = "leaf: surfel page";
+                        return Err(invalid(reader, node_page, place, "none", "a page"));
+                    };
+                    if read_leaf(reader, page, place, &frame, &mut self.surfels)? {
+                        let first = self.done;
+                        self.done += self.surfels.len() as u64;
+                        return Ok(Some((first, &self.surfels)));
+                    }
                 }
             }
         }
+        Ok(None)
     }
-    Ok(())
 }
 
 /// Puts the children of a group on the stack, the first octant on top.

@@ -14,13 +14,13 @@ use std::sync::atomic::AtomicBool;
 /// Bake meshes and point clouds into one octree file of lit surfels
 ///
 /// Inputs are meshes (.glb .gltf .obj .ply), point clouds (.ply .las .laz .ptc, raw surfels), `-` for
-/// raw surfels on standard input, or a procedural scene such as demo:street?seed=1&surfels=2M.
+/// raw surfels on standard input, octree files (.pbgi), or a procedural scene such as demo:street?seed=1&surfels=2M.
 /// Several inputs become one cloud.
 #[derive(Parser)]
 #[command(name = "pbgi-bake", version, max_term_width = 100)]
 struct Args {
-    /// Meshes, point clouds, `-`, or demo:NAME
-    #[arg(required = true, value_name = "INPUT")]
+    /// Meshes, point clouds, octrees, `-`, or demo:NAME
+    #[arg(required_unless_present = "relight", value_name = "INPUT")]
     inputs: Vec<String>,
     /// Octree file to write; the first input's name with .pbgi here if not given
     #[arg(short, long, value_name = "FILE")]
@@ -106,6 +106,15 @@ fn parse_classes(text: &str) -> Result<Classes, String> {
 #[derive(clap::Args)]
 #[command(next_help_heading = "Light")]
 struct LightArgs {
+    /// Factor on point and spot lights of glTF files; 0.001464 (1/683) for those of Blender
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, allow_negative_numbers = true)]
+    light_scale: f32,
+    /// Octree file to light anew instead of inputs; it must store albedo, and no light
+    #[arg(long, value_name = "OCTREE", conflicts_with = "inputs")]
+    relight: Option<String>,
+    /// What an octree stores is emitted light: it was baked without --env and --bounces
+    #[arg(long)]
+    unlit: bool,
     /// Environment that lights the surfels, .exr or .hdr
     #[arg(long, value_name = "IMAGE")]
     env: Option<PathBuf>,
@@ -168,6 +177,10 @@ enum UpArg {
 impl Args {
     fn request(&self) -> Result<BakeRequest, PbgiError> {
         let Self { surfels, light, layout, .. } = self;
+        if light.relight.is_some() && light.env.is_none() && light.bounces == 0 {
+            return Err(PbgiError::usage("--relight without light; add --env or --bounces"));
+        }
+        let inputs: Vec<String> = light.relight.iter().chain(&self.inputs).cloned().collect();
         let environment = light.env.clone().map(|path| EnvironmentSpec {
             source: LightSource::File(path),
             rotate_degrees: light.env_rotate,
@@ -176,8 +189,9 @@ impl Args {
         let invalid =
             if surfels.skip_invalid { InvalidPolicy::Skip } else { InvalidPolicy::Refuse };
         Ok(BakeRequest {
-            inputs: self.inputs.clone(),
-            output: self.output.clone().map_or_else(|| default_output(&self.inputs[0]), Ok)?,
+            output: self.output.clone().map_or_else(|| default_output(&inputs[0]), Ok)?,
+            inputs,
+            unlit: light.unlit,
             force: self.force,
             sampling: match (surfels.spacing, surfels.surfels) {
                 (Some(spacing), _) => Sampling::Spacing(spacing),
@@ -189,6 +203,7 @@ impl Args {
                 TwoSidedArg::All => TwoSided::All,
                 TwoSidedArg::None => TwoSided::None,
             },
+            light_scale: light.light_scale,
             cloud: CloudOptions {
                 invalid,
                 classes: surfels.class_filter(),

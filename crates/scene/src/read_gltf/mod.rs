@@ -2,6 +2,7 @@
 
 mod accessor;
 mod container;
+mod light;
 mod material;
 mod mesh;
 
@@ -10,11 +11,12 @@ use accessor::Accessors;
 use gltf::json::Root;
 use gltf::json::camera::Type as CameraType;
 use gltf::json::validation::{Checked, Validate};
+use light::Lights;
 use material::Materials;
 use pbgi_math::{Affine3A, Mat3, Mat4};
 use std::path::Path;
 
-/// Extensions that may be required: read, or without effect on geometry and diffuse color.
+/// Extensions that may be required: all that are read.
 const EXTENSIONS: [&str; 4] = [
     "KHR_materials_emissive_strength",
     "KHR_mesh_quantization",
@@ -25,8 +27,8 @@ const EXTENSIONS: [&str; 4] = [
 /// Reads the default scene of a glTF file: one mesh per primitive, one instance per node and
 /// primitive.
 ///
-/// Skins, morph targets and animations are left in their rest pose. Punctual lights, which have no
-/// surface, are left out.
+/// Skins, morph targets and animations are left in their rest pose. Directional lights are left out. Candela and nits are taken as
+/// W·sr⁻¹ and W·m⁻²·sr⁻¹.
 pub(crate) fn read_gltf(path: &Path) -> Result<Scene, SceneError> {
     let file = std::fs::read(path).map_err(|e| SceneError::io(path, "read", e))?;
     parse_gltf(path, &file)
@@ -72,7 +74,7 @@ fn parse_json(
         }
     }
     for extension in &root.extensions_used {
-        if !EXTENSIONS.contains(&extension.as_str()) || extension == "KHR_lights_punctual" {
+        if !EXTENSIONS.contains(&extension.as_str()) {
             warnings.push(format!("the gltf extension {extension} is ignored"));
         }
     }
@@ -171,6 +173,7 @@ fn place_nodes(
     scene: &mut Scene,
 ) -> Result<(), SceneError> {
     let malformed = |message: String| SceneError::malformed(path, message);
+    let mut lights = Lights::default();
     let mut seen = vec![false; document.nodes().len()];
     let mut stack: Vec<(gltf::Node, Affine3A)> =
         find_roots(document).into_iter().rev().map(|node| (node, Affine3A::IDENTITY)).collect();
@@ -198,10 +201,12 @@ fn place_nodes(
                 Err(reason) => scene.warnings.push(format!("camera of {place} {reason}")),
             }
         }
+        lights.place(document.as_json(), &node, &transform, scene);
         let first_child = stack.len();
         stack.extend(node.children().map(|child| (child, transform)));
         stack[first_child..].reverse();
     }
+    lights.warn(&mut scene.warnings);
     Ok(())
 }
 

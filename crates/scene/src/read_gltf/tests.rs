@@ -346,3 +346,64 @@ fn damage_to_a_real_file_never_panics() {
     }
     assert!(errors > json_end / 3, "{errors} of {json_end}");
 }
+
+/// A bulb that hangs twice in the scene and a spot under a turned, mirrored and stretched node.
+const LIGHTS: &str = r#""extensionsUsed":["KHR_lights_punctual"],
+    "extensions":{"KHR_lights_punctual":{"lights":[
+        {"type":"point","name":"bulb","color":[1,0.5,0],"intensity":6,"range":4},
+        {"type":"spot","intensity":20,"spot":{"outerConeAngle":0.5}},
+        {"type":"directional","name":"sun","color":[1,1,0.5],"intensity":3},
+        {"type":"point","intensity":-1}]}},
+    "nodes":[{"translation":[1,2,3],"extensions":{"KHR_lights_punctual":{"light":0}}},
+        {"rotation":[0,0.70710678,0,0.70710678],"scale":[2,-2,2],"children":[2,3]},
+        {"translation":[0,1,5],"extensions":{"KHR_lights_punctual":{"light":0}}},
+        {"name":"beam","extensions":{"KHR_lights_punctual":{"light":1}}},
+        {"extensions":{"KHR_lights_punctual":{"light":2}}},
+        {"extensions":{"KHR_lights_punctual":{"light":3}}}]"#;
+
+#[test]
+fn lights_are_placed_by_their_nodes() {
+    let scene = parse(&Builder::default().glb(LIGHTS)).unwrap();
+    let [first, second, spot] = &scene.lights[..] else { panic!("{:?}", scene.lights) };
+    assert_eq!((first.position, first.axis), (Vec3::new(1.0, 2.0, 3.0), None));
+    assert_eq!((first.intensity, second.intensity), ([6.0, 3.0, 0.0], [6.0, 3.0, 0.0]));
+    // A quarter turn about +Y takes +Z to +X; the scale moves the light and leaves its intensity.
+    assert!((second.position - Vec3::new(10.0, -2.0, 0.0)).length() < 1e-5, "{second:?}");
+    assert!((spot.axis.unwrap() - Vec3::NEG_X).length() < 1e-6, "{spot:?}");
+    assert_eq!(spot.intensity, [20.0; 3]);
+    let told = |words: &[&str]| {
+        let told = |warning: &&String| words.iter().all(|word| warning.contains(word));
+        assert_eq!(
+            scene.warnings.iter().filter(told).count(),
+            1,
+            "{words:?}: {:?}",
+            scene.warnings
+        );
+    };
+    told(&["sun", "--env", "3, 3, 1.5", "0.000, 0.000, 1.000"]);
+    told(&["beam", "cones"]);
+    told(&["bulb, bulb", "range"]);
+    told(&["of node 5", "-1, -1, -1"]);
+    assert_eq!(scene.warnings.len(), 4);
+}
+
+#[test]
+fn lights_that_are_damaged_are_refused() {
+    for (sound, damaged, expected) in [
+        (r#""light":1"#, r#""light":9"#, "light"),
+        (r#""spot":{"outerConeAngle":0.5}"#, r#""extras":{}"#, "spot"),
+        (r#""type":"point""#, r#""type":"area""#, "type"),
+    ] {
+        let error = parse(&Builder::default().glb(&LIGHTS.replacen(sound, damaged, 1)));
+        let message = error.unwrap_err().to_string();
+        assert!(message.contains(expected), "{message}");
+    }
+    let sound = Builder::default().glb(LIGHTS);
+    for place in 0..sound.len() {
+        for byte in [0, b' ', b'9', b'-', b'"', b'}', b'z', sound[place] ^ 1] {
+            let mut damaged = sound.clone();
+            damaged[place] = byte;
+            let _ = parse(&damaged);
+        }
+    }
+}

@@ -92,6 +92,32 @@ fn an_open_plane_under_a_gray_sky_reflects_its_albedo() {
     assert!((info.flux_total[0] / info.area_total / radiance - 1.0).abs() < 0.01);
 }
 
+/// A closed room whose walls all shine with radiance 1 and reflect the share ρ has the radiance 1 + ρ + … + ρᴺ after N bounces, and every
+/// bounce is reported with its time.
+#[test]
+fn bounces_of_a_white_room_are_a_geometric_series() {
+    let bench = Bench::new();
+    bench.write("room.mtl", "newmtl wall\nKd 0.8 0.8 0.8\nKe 1 1 1\n");
+    // Faces look inward.
+    let corners =
+        "v 0 0 0\nv 3 0 0\nv 3 2 0\nv 0 2 0\nv 0 0 2.5\nv 3 0 2.5\nv 3 2 2.5\nv 0 2 2.5\n";
+    let faces = "f 1 2 3 4\nf 5 8 7 6\nf 1 4 8 5\nf 2 6 7 3\nf 1 5 6 2\nf 4 3 7 8\n";
+    bench.write("room.obj", format!("mtllib room.mtl\nusemtl wall\n{corners}{faces}"));
+    for (bounces, text) in [(1, "1"), (3, "3"), (8, "8")] {
+        let args = ["room.obj", "--surfels", "3k", "--bounces", text, "--force"];
+        let info = bench.bake(&[&args[..], &["--stats-json", "stats.json"]].concat(), "room.pbgi");
+        let expected = (1.0 - 0.8f64.powi(bounces + 1)) / (1.0 - 0.8);
+        let radiance = info.flux_total[1] / info.area_total;
+        assert!((radiance / expected - 1.0).abs() < 0.003, "{bounces}: {radiance} {expected}");
+        let stats: serde_json::Value = serde_json::from_slice(&bench.read("stats.json")).unwrap();
+        let phases = stats["phases"].as_array().unwrap().iter();
+        let seen: Vec<&serde_json::Value> = phases.filter(|p| p["name"] == "bounce").collect();
+        let numbers: Vec<i64> = seen.iter().map(|p| p["bounce"].as_i64().unwrap()).collect();
+        assert_eq!(numbers, (1..=i64::from(bounces)).collect::<Vec<_>>());
+        assert!(seen.iter().all(|p| p["seconds"].as_f64().unwrap() > 0.0));
+    }
+}
+
 #[test]
 fn bounces_add_light_to_a_room_with_a_lamp() {
     let bench = Bench::new();
@@ -133,7 +159,7 @@ fn light_that_cannot_be_is_a_warning() {
 }
 
 /// An equirectangular image of radiance 1, in the flat form of Radiance HDR.
-fn write_gray_environment(bench: &Bench) {
+pub fn write_gray_environment(bench: &Bench) {
     let mut bytes = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4 +X 8\n".to_vec();
     bytes.extend([128, 128, 128, 129].repeat(32));
     bench.write("sky.hdr", bytes);

@@ -5,4 +5,5 @@ mod errors;
 mod formats;
 mod invariance;
 mod kill;
+mod relight;
 mod support;
