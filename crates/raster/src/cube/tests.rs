@@ -231,7 +231,8 @@ fn nearer_pieces_hide_farther_ones_but_not_their_neighbors() {
         draw_section(&mut raster, (low * 3.0, high * 3.0), Vec3::Y, &ink(2.0, 9.0));
         let found = raster.lights[up].radiance[0];
         let expected = if scale == 1.0 { expected } else { 0.0 };
-        assert!((found - expected).abs() < 1e-4, "{scale}: {found}");
+        // But for where in the texel its sample lies.
+        assert!((found - expected).abs() < 0.002, "{scale}: {found}");
     }
 }
 
