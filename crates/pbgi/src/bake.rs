@@ -15,7 +15,7 @@ use pbgi_build::{
     BuildOptions, BuildReport, ChannelChoice, StreamSummary, build_octree,
     build_octree_from_pieces, remove_unfinished,
 };
-use pbgi_cloud::{Surfel, SurfelSource};
+use pbgi_cloud::SurfelSource;
 use pbgi_light::UpAxis;
 use pbgi_math::Vec3;
 use pbgi_sort::{
@@ -164,9 +164,8 @@ impl<'a> Baker<'a> {
     /// Says how much room temporary files and output will need, and warns where there is less.
     fn state_disk_space(&mut self, surfels: u64, sort_bytes: u64) {
         let resumes = self.request.resume;
-        let sorted_bytes = surfels.saturating_mul(size_of::<Surfel>() as u64);
         let passes = self.light.pass_count();
-        let is_held = sorted_bytes <= sort_bytes && !resumes;
+        let is_held = self.sort_options(sort_bytes).holds(surfels);
         let space = DiskSpace::new(DiskUse { surfels, is_held, passes, resumes });
         let (temp_dir, folder) = (self.request.temp_dir(), folder_of(&self.request.output));
         let free = free_bytes(&temp_dir).zip(free_bytes(folder));

@@ -58,6 +58,13 @@ impl Default for SortOptions<'_> {
 }
 
 impl SortOptions<'_> {
+    /// Whether so many surfels are sorted in memory, and none goes to disk.
+    #[must_use]
+    pub fn holds(&self, surfels: u64) -> bool {
+        let plan = Plan::new(self.budget_bytes, self.thread_count());
+        self.checkpoint.is_none() && plan.is_ok_and(|plan| surfels <= plan.held_surfels as u64)
+    }
+
     /// Reports progress and returns an error if the caller asked to stop.
     pub(crate) fn check(
         &self,

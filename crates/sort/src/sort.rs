@@ -381,6 +381,8 @@ mod tests {
                 let mut sorted =
                     sort_surfels(&mut source, &options(budget << 20, threads)).unwrap();
                 assert_eq!(sorted.run_count(), runs, "{budget} MiB");
+                let holds = options(budget << 20, threads).holds(expected.len() as u64);
+                assert_eq!(holds, runs == 0, "{budget} MiB");
                 assert!(read_all(&mut sorted) == expected, "{budget} MiB, {threads} threads");
             }
         }
