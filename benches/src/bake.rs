@@ -4,6 +4,7 @@
 use anyhow::{Context, Result, bail};
 use clap::{Parser, ValueEnum};
 use pbgi::cli;
+use pbgi_benches::{SURFEL_COLUMNS, surfel_row};
 use pbgi_cloud::{
     CloudError, CloudOptions, PlyWriter, RawKind, Surfel, SurfelSource, open_cloud, write_raw_file,
 };
@@ -90,14 +91,8 @@ fn main() -> Result<()> {
                 for limit in &args.memory_limit {
                     bake(&program, &name, &streams, limit, folder.path(), &args)?;
                     if args.ply {
-                        bake(
-                            &program,
-                            &format!("{name}, PLY"),
-                            &plys,
-                            limit,
-                            folder.path(),
-                            &args,
-                        )?;
+                        let name = format!("{name}, PLY");
+                        bake(&program, &name, &plys, limit, folder.path(), &args)?;
                     }
                 }
             }
@@ -199,31 +194,18 @@ fn write_stream(scene: &str, count: u64, path: &Path) -> Result<()> {
 
 /// Writes the surfels of each stream as a PLY file beside it.
 fn write_plys(streams: &[PathBuf]) -> Result<Vec<PathBuf>> {
-    const COLUMNS: [&str; 11] = [
-        "x",
-        "y",
-        "z",
-        "nx",
-        "ny",
-        "nz",
-        "radius",
-        "area",
-        "radiance_r",
-        "radiance_g",
-        "radiance_b",
-    ];
+    // All but the albedo, which streams of 32 bytes do not have.
+    const COLUMNS: usize = 11;
     let write = |stream: &PathBuf| {
         let path = stream.with_extension("ply");
         let mut source = open_cloud(stream, &CloudOptions::default())?;
-        let mut writer = PlyWriter::create(&path, &COLUMNS)?;
+        let mut writer = PlyWriter::create(&path, &SURFEL_COLUMNS[..COLUMNS])?;
         let (mut chunk, mut more) = (Vec::new(), true);
         while more {
             chunk.clear();
             more = source.read_chunk(&mut chunk)?;
             for surfel in &chunk {
-                let [[x, y, z], [nx, ny, nz]] = [surfel.position, surfel.normal().to_array()];
-                let [r, g, b] = surfel.radiance;
-                writer.write_rows(&[x, y, z, nx, ny, nz, surfel.radius, surfel.area, r, g, b])?;
+                writer.write_rows(&surfel_row(surfel)[..COLUMNS])?;
             }
         }
         writer.finish()?;

@@ -13,6 +13,32 @@ use pbgi_store::{Octree, OpenOptions};
 use std::path::Path;
 use std::time::Instant;
 
+/// Columns of PLY files that state all of a surfel, in the order of [`surfel_row`].
+pub const SURFEL_COLUMNS: [&str; 14] = [
+    "x",
+    "y",
+    "z",
+    "nx",
+    "ny",
+    "nz",
+    "radius",
+    "area",
+    "radiance_r",
+    "radiance_g",
+    "radiance_b",
+    "albedo_r",
+    "albedo_g",
+    "albedo_b",
+];
+
+/// The values of a surfel's [`SURFEL_COLUMNS`].
+#[must_use]
+pub fn surfel_row(surfel: &Surfel) -> [f32; SURFEL_COLUMNS.len()] {
+    let [[x, y, z], [nx, ny, nz]] = [surfel.position, surfel.normal().to_array()];
+    let [[r, g, b], [ar, ag, ab]] = [surfel.radiance, surfel.albedo_rgb()];
+    [x, y, z, nx, ny, nz, surfel.radius, surfel.area, r, g, b, ar, ag, ab]
+}
+
 struct Stream(SortedSurfels);
 
 impl SortedStream for Stream {

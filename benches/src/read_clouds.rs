@@ -4,6 +4,7 @@
 
 use anyhow::{Context, Result};
 use clap::Parser;
+use pbgi_benches::{SURFEL_COLUMNS, surfel_row};
 use pbgi_cloud::{
     CloudOptions, PlyWriter, PtcPoint, PtcWriter, RawKind, SliceSource, Surfel, open_cloud,
     write_raw_file,
@@ -89,39 +90,11 @@ fn surfels(count: usize) -> Vec<Surfel> {
 
 /// The files to be read.
 fn write_all(folder: &Path, surfels: &[Surfel]) -> Result<Vec<Subject>> {
-    type Row = fn(&Surfel) -> Vec<f64>;
-    let placed: Row =
-        |s| s.position.iter().chain(&s.normal().to_array()).map(|&x| x.into()).collect();
-    let sized: Row = |s| {
-        let position = s.position.into_iter().chain(s.normal().to_array());
-        position.chain([s.radius]).map(f64::from).collect()
-    };
-    let full: Row = |s| {
-        let position = s.position.into_iter().chain(s.normal().to_array());
-        let sizes = position.chain([s.radius, s.area]).chain(s.radiance);
-        sizes.chain(s.albedo_rgb()).map(f64::from).collect()
-    };
-    let names = [
-        "x",
-        "y",
-        "z",
-        "nx",
-        "ny",
-        "nz",
-        "radius",
-        "area",
-        "radiance_r",
-        "radiance_g",
-        "radiance_b",
-        "albedo_r",
-        "albedo_g",
-        "albedo_b",
-    ];
-    let plys: [(&str, usize, usize, Row); 4] = [
-        ("ply, place and normal", 6, 0, placed),
-        ("ply, with radius", 7, 0, sized),
-        ("ply, all", 14, 0, full),
-        ("ply, all, double places", 14, 3, full),
+    let plys = [
+        ("ply, place and normal", 6, 0),
+        ("ply, with radius", 7, 0),
+        ("ply, all", 14, 0),
+        ("ply, all, double places", 14, 3),
     ];
     let mut paths = Vec::new();
     for (name, kind) in [("raw, 44 bytes", RawKind::Full), ("raw, 32 bytes", RawKind::Compact)] {
@@ -129,11 +102,13 @@ fn write_all(folder: &Path, surfels: &[Surfel]) -> Result<Vec<Subject>> {
         write_raw_file(&path, kind, &mut SliceSource::new(surfels))?;
         paths.push((name, path));
     }
-    for (name, columns, doubles, row) in plys {
+    for (name, columns, doubles) in plys {
         let path = folder.join(name);
-        let mut writer = PlyWriter::create_with_doubles(&path, &names[..columns], doubles)?;
+        let mut writer =
+            PlyWriter::create_with_doubles(&path, &SURFEL_COLUMNS[..columns], doubles)?;
         for surfel in surfels {
-            writer.write_double_rows(&row(surfel))?;
+            let row = surfel_row(surfel).map(f64::from);
+            writer.write_double_rows(&row[..columns])?;
         }
         writer.finish()?;
         paths.push((name, path));
