@@ -270,3 +270,55 @@ fn a_ledge_of_rectangles_has_the_form_factor_of_a_rectangle() {
     assert!((tiled - 1.015).abs() < 0.025, "{tiled}");
     assert!((round - 1.0).abs() > 0.05, "{round}");
 }
+
+/// Irradiance of a polygon of the radiance 1, wholly above the horizon (Lambert 1760).
+fn polygon_irradiance(corners: &[Vec3], receiver: &Receiver) -> f32 {
+    let edge = |i: usize| {
+        let a = (corners[i] - receiver.position).normalize();
+        let b = (corners[(i + 1) % corners.len()] - receiver.position).normalize();
+        a.angle_between(b) * a.cross(b).normalize().dot(receiver.normal)
+    };
+    (0..corners.len()).map(edge).sum::<f32>().abs() * 0.5
+}
+
+/// A lamp of one by 0.7 just before a black wall, as bright as it is by Lambert's formula, however fine raster and cut.
+#[test]
+fn a_lamp_before_a_wall_has_its_irradiance() {
+    let step = 0.02;
+    let lattice = |columns: i32, rows: i32, x: f32, radiance: f32| {
+        let place = move |i: i32, n: i32| (i as f32 + 0.5 - 0.5 * n as f32) * step;
+        (0..columns * rows).map(move |i| {
+            let center = Vec3::new(x, place(i / columns, rows), place(i % columns, columns));
+            let radius = step * std::f32::consts::FRAC_1_SQRT_2;
+            Surfel::new(center, Vec3::X, radius, step * step)
+                .with_radiance([radiance; 3])
+                .with_tile(Vec3::Z, 1.0)
+        })
+    };
+    let surfels: Vec<Surfel> =
+        lattice(50, 35, 0.02, 1.0).chain(lattice(220, 110, 0.0, 0.0)).collect();
+    let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
+    let corner = |y: f32, z: f32| Vec3::new(0.02, y, z);
+    let lamp = [corner(-0.35, -0.5), corner(-0.35, 0.5), corner(0.35, 0.5), corner(0.35, -0.5)];
+    for edge in [4, 8, 16, 32, 64] {
+        for (solid_angle_sr, importance) in
+            [(0.08, ImportanceTerms::ALL), (0.02, ImportanceTerms::OFF), (0.002, ImportanceTerms::OFF), (0.0, ImportanceTerms::OFF)]
+        {
+            let settings =
+                GatherSettings { solid_angle_sr, raster_edge: edge, importance, ..GatherSettings::default() };
+            let (mut sum, mut squares, mut count) = (0.0, 0.0, 0.0);
+            for i in 0..60 {
+                let f = |k: usize| ((i * k) % 37) as f32 / 37.0 * 1.8 - 0.9;
+                let position = Vec3::new(1.2 + f(5), 1.0 + 0.3 * f(7), 1.2 * f(11));
+                let receiver = Receiver::diffuse(position, Vec3::NEG_Y);
+                let found = gather(&octree, &settings, receiver.clone()).surface_irradiance[0];
+                let truth = polygon_irradiance(&lamp, &receiver);
+                let error = found / truth - 1.0;
+                sum += error;
+                squares += error * error;
+                count += 1.0;
+            }
+            println!("{edge} {solid_angle_sr} {:.4} {:.4}", sum / count, f32::sqrt(squares / count));
+        }
+    }
+}

@@ -1,7 +1,7 @@
 //! What a node shows to a receiver.
 
 use pbgi_format::{LOBES_MAX, Lobe, SurfelLayout};
-use pbgi_math::{Vec3, box_silhouette, central_section_area};
+use pbgi_math::{Vec3, box_silhouette, central_section_area, patch_solid_angle_factor};
 
 /// A piece of a plane that stands for one lobe of a node.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -224,7 +224,7 @@ fn see_lobe(lobe: &Lobe, center: Vec3, half: Vec3, toward_receiver: Vec3) -> Opt
     // Seen along its edge it covers nothing; the plane must not contain the receiver.
     let least = 1e-6 * distance;
     let height = if height.abs() < least { least } else { height };
-    let piece = Piece {
+    let mut piece = Piece {
         inverse: normal * (1.0 / height),
         low: Vec3::ZERO,
         high: Vec3::ZERO,
@@ -235,6 +235,14 @@ fn see_lobe(lobe: &Lobe, center: Vec3, half: Vec3, toward_receiver: Vec3) -> Opt
         cosine: height.abs() * (1.0 / distance),
         radiance: if is_front { lobe.radiance } else { [0.0; 3] },
     };
+    if is_flat {
+        // Points spread evenly over the box's section with the plane: those over the box, laid into it.
+        let variance = half * half * (opacity * (1.0 / 3.0));
+        let across = point - normal * height;
+        let spread2 = variance.dot(Vec3::ONE - normal * normal);
+        piece.solid_angle *=
+            patch_solid_angle_factor(distance2, spread2, variance.dot(across * across));
+    }
     let is_sheet = !lobe.blocks_back;
     Some(Shown { piece, point, distance2, opacity, area, is_sheet, is_flat, is_front })
 }

@@ -11,6 +11,12 @@ pub trait Threshold {
 
     /// Largest `r²/d²` (squared sine of the half-angle) of the bounding sphere of a node that is taken as one, below 1.
     fn sin2_max(&self, node: &NodeSeen) -> f32;
+
+    /// Whether a node, with all that is in it, is looked at.
+    #[inline(always)]
+    fn is_wanted(&self, _: &NodeSeen) -> bool {
+        true
+    }
 }
 
 /// What a threshold may know of a node.

@@ -378,7 +378,8 @@ fn open_frame<T: Threshold>(
             brightness: brightness[lane],
         };
         let limit = threshold.sin2_max(&seen) * distance2[lane];
-        below |= u32::from(top[lane] <= receiver.bias) << lane;
+        let is_dropped = top[lane] <= receiver.bias || !threshold.is_wanted(&seen);
+        below |= u32::from(is_dropped) << lane;
         large |= u32::from(radius2[lane] > limit) << lane;
     }
     // From child order to octants.

@@ -28,7 +28,7 @@ pub use rgbe::SharedExponent;
 pub use section::{central_section_area, section_area};
 pub use sh::{SH_COUNT, Sh9, clamped_cosine_sh, evaluate_sh_basis};
 pub use silhouette::box_silhouette;
-pub use solid_angle::{disk_solid_angle, sphere_sin2_for_solid_angle, sphere_solid_angle};
+pub use solid_angle::{patch_solid_angle_factor, sphere_sin2_for_solid_angle, sphere_solid_angle};
 pub use tile::{TileCode, rectangle_half_edges};
 
 /// Relative luminance of linear Rec. 709 RGB.

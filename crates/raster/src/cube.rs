@@ -182,6 +182,7 @@ pub struct CubeRaster {
     n: usize,
     stride: usize,
     shines: bool,
+    lamp_radiance: f32,
     texels: Vec<Texel>,
     lights: Vec<TexelLight>,
     /// Empty where no piece shines.
@@ -212,6 +213,7 @@ impl CubeRaster {
             n,
             stride,
             shines,
+            lamp_radiance: f32::INFINITY,
             texels: vec![Texel::default(); 6 * n * stride],
             lights: vec![TexelLight::NONE; 6 * n * stride],
             tilts: vec![TexelTilt::default(); if shines { 6 * n * stride } else { 0 }],
@@ -227,6 +229,11 @@ impl CubeRaster {
                 .collect(),
             hits: Vec::with_capacity(64),
         }
+    }
+
+    /// From this radiance of the brightest channel on, W·m⁻²·sr⁻¹, pieces are lamps, which keep their flux; none are unless this is called.
+    pub fn set_lamp_radiance(&mut self, least: f32) {
+        self.lamp_radiance = least;
     }
 
     /// Empties the raster for a receiver with this normal: samples below its horizon count as covered from the
@@ -361,7 +368,8 @@ impl CubeRaster {
                     hit.new.count_ones() as f32 * tilt.sample.mean(hit.new)
                 };
                 let share = samples / larger_than_zero(above);
-                self.lights[hit.index as usize].add(share, &ink.radiance);
+                let is_lamp = is_lamp(&ink.radiance, self.lamp_radiance);
+                self.lights[hit.index as usize].add(share, &ink.radiance, is_lamp);
             }
             for ((shape, ink), met) in shapes.iter().zip(met) {
                 if met == 0 {
@@ -465,7 +473,8 @@ impl CubeRaster {
         let above = texel.above.count_ones() as f32;
         let whole = self.inverse_solid_angles[index] * SAMPLES as f32 / above;
         let cosine = self.tilts[index].cosine.at(place_in_texel.map(|x| 2.0 * x - 1.0));
-        self.lights[index].add(ink.solid_angle * whole * cosine, &ink.radiance);
+        let is_lamp = is_lamp(&ink.radiance, self.lamp_radiance);
+        self.lights[index].add(ink.solid_angle * whole * cosine, &ink.radiance, is_lamp);
     }
 
     /// Share of texel `index` (in memory), above the horizon, that no surface covers.
@@ -488,7 +497,7 @@ impl CubeRaster {
             let offset = texel.open_offset();
             (chunk.open_offset[0][lane], chunk.open_offset[1][lane]) = (offset[0], offset[1]);
             let light = &self.lights[index * LANES + lane];
-            let radiance = if texel.covered == ALL { light.made_whole() } else { light.radiance };
+            let radiance = if texel.covered == ALL { light.made_whole() } else { light.as_it_is() };
             for (plane, light) in chunk.radiance.iter_mut().zip(radiance) {
                 plane[lane] = light;
             }
@@ -502,6 +511,11 @@ impl CubeRaster {
     pub fn shines(&self) -> bool {
         self.shines
     }
+}
+
+#[inline(always)]
+fn is_lamp(radiance: &[f32; 3], least: f32) -> bool {
+    radiance[0] >= least || radiance[1] >= least || radiance[2] >= least
 }
 
 /// The smaller of two indices.

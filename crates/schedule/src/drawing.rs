@@ -2,7 +2,7 @@
 
 use pbgi_cut::{Cluster, Piece, SurfelSeen};
 use pbgi_format::LeafSurfel;
-use pbgi_math::Vec3;
+use pbgi_math::{Vec3, patch_solid_angle_factor};
 use pbgi_raster::{Disk, Ink, Section, Tile, Veil};
 use std::f32::consts::FRAC_1_PI;
 
@@ -116,6 +116,34 @@ pub(crate) fn blocks(seen: &SurfelSeen) -> bool {
     surfel.isotropic || height < 0.0 || (height > 0.0 && !surfel.front_only)
 }
 
+/// Area over squared distance from which on a surfel is no longer a point for its solid angle.
+const NEAR_AREA: f32 = 0.003;
+
+/// Solid angle of a surfel, as if nothing hid it; an isotropic one turns to the receiver.
+#[inline(always)]
+pub(crate) fn surfel_solid_angle(seen: &SurfelSeen) -> f32 {
+    let surfel = &seen.surfel;
+    let area = shown_area(surfel);
+    if surfel.isotropic {
+        return area / seen.distance2;
+    }
+    let height = surfel.normal.dot(surfel.center);
+    let far = area * height.abs() / (seen.distance2 * seen.distance2.sqrt());
+    if area < NEAR_AREA * seen.distance2 {
+        return far;
+    }
+    // Variances of its points along its edges; of a disk, along all directions in it.
+    let (spread2, along2) = if surfel.tile.is_known() {
+        let [a, b] = surfel.half_edges().map(|half| half * half * (1.0 / 3.0));
+        let [u, v] = surfel.tile.edges(surfel.normal).map(|edge| edge.dot(surfel.center));
+        (a + b, a * u * u + b * v * v)
+    } else {
+        let variance = area * (0.25 * FRAC_1_PI);
+        (2.0 * variance, variance * (seen.distance2 - height * height))
+    };
+    far * patch_solid_angle_factor(seen.distance2, spread2, along2)
+}
+
 /// How a surfel, drawn with this normal, opacity and extent, covers and shines.
 #[inline(always)]
 pub(crate) fn surfel_ink(seen: &SurfelSeen, normal: Vec3, opacity: f32, extent: f32) -> Ink {
@@ -124,7 +152,7 @@ pub(crate) fn surfel_ink(seen: &SurfelSeen, normal: Vec3, opacity: f32, extent: 
     let cosine = normal.dot(surfel.center) * (-1.0 / distance);
     Ink {
         veil: Veil { start: 0.0, end: opacity, seed: seen.seed },
-        solid_angle: shown_area(surfel) * cosine.abs() / seen.distance2,
+        solid_angle: surfel_solid_angle(seen),
         radiance: if cosine > 0.0 { surfel.radiance } else { [0.0; 3] },
         tolerance: neighbor_tolerance(SURFEL_DEPTH, extent / distance, cosine.abs()),
     }

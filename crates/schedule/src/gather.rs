@@ -2,6 +2,7 @@
 
 use crate::drawing::{blocks, piece_ink, piece_shape, surfel_disk, surfel_ink, surfel_tile};
 use crate::importance::{CubeThreshold, ImportanceTerms, LobeThreshold, Stakes};
+use crate::lamps::{LampThreshold, LampVisitor, Lamps};
 use crate::light::{PreparedLight, PreparedPeak};
 use crate::receiver::{Gloss, Receiver, Shading};
 use crate::reflect::{LobeScratch, LobeVisitor};
@@ -82,6 +83,8 @@ pub struct Gatherer<'a> {
     lobe: LobeScratch,
     /// What importance weighs brightness by; found by the first gather.
     stakes: Option<Stakes<'a>>,
+    /// Of the receiver that is gathered for.
+    lamps: Lamps,
 }
 
 impl<'a> Gatherer<'a> {
@@ -102,6 +105,7 @@ impl<'a> Gatherer<'a> {
             table: ConvolutionTable::new(&table),
             lobe: LobeScratch::new(settings.lobe_level),
             stakes: None,
+            lamps: Lamps::new(),
             window_raster: WindowRaster::default(),
         }
     }
@@ -131,6 +135,7 @@ impl<'a> Gatherer<'a> {
             bias: 0.0,
             surfel_bias: self.settings.bias,
         };
+        self.find_lamps(&cut_receiver)?;
         let mut shading = Shading::default();
         if self.settings.parts != GatherParts::Sharp {
             shading = self.gather_broad::<L>(&cut_receiver)?;
@@ -150,12 +155,32 @@ impl<'a> Gatherer<'a> {
         Ok(shading)
     }
 
+    /// Finds what shines brightly around the receiver, for importance.
+    #[inline(always)]
+    fn find_lamps(&mut self, receiver: &CutReceiver) -> Result<(), StoreError> {
+        let usual = self.stakes()?.usual;
+        self.lamps.clear(usual);
+        if usual == 0.0 || !self.raster.shines() {
+            return Ok(());
+        }
+        self.raster.set_lamp_radiance(self.lamps.least);
+        if !self.settings.importance.radiance {
+            return Ok(());
+        }
+        let threshold = LampThreshold::new(&self.lamps);
+        let mut visitor = LampVisitor { lamps: &mut self.lamps };
+        self.walker.look(receiver, &threshold, &mut visitor)?;
+        self.lamps.finish();
+        Ok(())
+    }
+
     /// Everything but peaks and reflections: the cut drawn into the cube, over the environment's base.
     #[inline(always)]
     fn gather_broad<L: Lanes>(&mut self, receiver: &CutReceiver) -> Result<Shading, StoreError> {
         self.raster.clear::<L>(receiver.normal);
         let terms = self.settings.importance;
         let stakes = self.stakes()?;
+        let lamps = &self.lamps;
         let mut visitor = CubeVisitor::<L> {
             raster: &mut self.raster,
             footprint: Footprint::default(),
@@ -168,7 +193,7 @@ impl<'a> Gatherer<'a> {
             let edge = self.settings.raster_edge as f32;
             let texel_sr = SMALLEST_TEXEL_SR / (edge * edge);
             let (user_sr, normal) = (self.settings.solid_angle_sr, receiver.normal);
-            let threshold = CubeThreshold { user_sr, texel_sr, normal, terms, stakes };
+            let threshold = CubeThreshold { user_sr, texel_sr, normal, terms, stakes, lamps };
             self.walker.pick(receiver, &threshold, &mut visitor)?;
         }
         let base = self.light.map(|l| &l.base);
@@ -218,10 +243,11 @@ impl<'a> Gatherer<'a> {
         };
         let user_sr = self.settings.solid_angle_sr;
         let terms = self.settings.importance;
+        let lamps = &self.lamps;
         if terms == ImportanceTerms::OFF {
             self.walker.pick(receiver, &uniform(user_sr), &mut visitor)?;
         } else {
-            let threshold = LobeThreshold { user_sr, texel_sr, lobe, axis, terms, stakes };
+            let threshold = LobeThreshold { user_sr, texel_sr, lobe, axis, terms, stakes, lamps };
             self.walker.pick(receiver, &threshold, &mut visitor)?;
         }
         (shading.reflected, shading.gloss_albedo) = self.lobe.resolve(self.light);
@@ -297,6 +323,21 @@ impl Walker<'_> {
     ) -> Result<(), StoreError> {
         let Self { reader, scratch, stats } = self;
         pick_cut(reader, receiver, threshold, visitor, scratch, stats)
+    }
+
+    /// The same for a walk whose nodes are none of the cut; its requests for pages count.
+    #[inline(always)]
+    fn look<T: Threshold, V: CutVisitor>(
+        &mut self,
+        receiver: &CutReceiver,
+        threshold: &T,
+        visitor: &mut V,
+    ) -> Result<(), StoreError> {
+        let mut stats = CutStats::default();
+        let Self { reader, scratch, .. } = self;
+        pick_cut(reader, receiver, threshold, visitor, scratch, &mut stats)?;
+        self.stats.add(&CutStats { levels: stats.levels, ..CutStats::default() });
+        Ok(())
     }
 }
 

@@ -10,6 +10,7 @@
 //!
 //! where *texel* is that of the smallest texel of the raster that is drawn into: nothing smaller shows.
 
+use crate::lamps::Lamps;
 use pbgi_brdf::GgxLobe;
 use pbgi_cut::{NodeSeen, Threshold};
 use pbgi_light::EnvironmentPyramid;
@@ -133,6 +134,8 @@ const DARK_FACTOR_MAX: f32 = 4.0;
 pub(crate) struct Stakes<'a> {
     /// 1 over the brightness that counts as usual, the larger of the means of surfaces and sky; 0 where all is dark.
     inverse: f32,
+    /// Brightness that counts as usual.
+    pub usual: f32,
     /// What nodes count for without the term of radiance.
     surfaces: Option<f32>,
     /// The sky, by direction; without the term of the environment its mean.
@@ -147,6 +150,7 @@ impl<'a> Stakes<'a> {
         let usual = surfaces.max(sky_mean);
         Self {
             inverse: if usual > 0.0 { 1.0 / usual } else { 0.0 },
+            usual,
             surfaces: (!terms.radiance).then_some(surfaces),
             sky: sky.filter(|_| terms.env),
             sky_mean,
@@ -163,7 +167,7 @@ impl<'a> Stakes<'a> {
     /// Where a node lies is known to about its half-angle, so the error of the light that it sends or hides is as its radiance times its
     /// solid angle to the power 3/2: errors are equal where solid angles are as the radiance to the power −2/3.
     #[inline(always)]
-    fn factor(&self, node: &NodeSeen) -> f32 {
+    fn factor(&self, node: &NodeSeen, lamps: &Lamps) -> f32 {
         if self.are_even() {
             return 1.0;
         }
@@ -172,6 +176,8 @@ impl<'a> Stakes<'a> {
             Some(sky) => sky.brightness(node.to_center, node.radius2 / node.distance2),
             None => self.sky_mean,
         };
+        let lamps = lamps.behind(node);
+        let hides = if hides > lamps { hides } else { lamps };
         let at_stake = if shines > hides { shines } else { hides };
         let factor = power_minus_two_thirds(at_stake * self.inverse);
         factor.clamp(BRIGHT_FACTOR_MIN, DARK_FACTOR_MAX)
@@ -194,6 +200,7 @@ pub(crate) struct CubeThreshold<'a> {
     pub normal: Vec3,
     pub terms: ImportanceTerms,
     pub stakes: Stakes<'a>,
+    pub lamps: &'a Lamps,
 }
 
 impl Threshold for CubeThreshold<'_> {
@@ -202,7 +209,7 @@ impl Threshold for CubeThreshold<'_> {
 
     #[inline(always)]
     fn sin2_max(&self, node: &NodeSeen) -> f32 {
-        let mut factor = self.stakes.factor(node);
+        let mut factor = self.stakes.factor(node, self.lamps);
         if self.terms.cosine {
             let height = self.normal.dot(node.to_center) + node.radius2.sqrt();
             factor /= (height / node.distance2.sqrt()).clamp(COSINE_MIN, 1.0);
@@ -232,6 +239,7 @@ pub(crate) struct LobeThreshold<'a> {
     pub axis: Vec3,
     pub terms: ImportanceTerms,
     pub stakes: Stakes<'a>,
+    pub lamps: &'a Lamps,
 }
 
 impl Threshold for LobeThreshold<'_> {
@@ -242,7 +250,7 @@ impl Threshold for LobeThreshold<'_> {
     /// angle that this share has where the node comes nearest to the mirror direction.
     #[inline(always)]
     fn sin2_max(&self, node: &NodeSeen) -> f32 {
-        let mut factor = self.stakes.factor(node);
+        let mut factor = self.stakes.factor(node, self.lamps);
         if self.terms.quality && node.is_plane {
             factor *= PLANE_FACTOR;
         }

@@ -7,6 +7,7 @@
 mod drawing;
 mod gather;
 mod importance;
+mod lamps;
 mod light;
 mod queue;
 mod receiver;
