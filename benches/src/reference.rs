@@ -115,14 +115,6 @@ impl Bench<'_> {
     }
 
     fn report(&self, what: &str, found: &[f32], truth: &[f32], run: &ShadeReport) -> Result<()> {
-        if let Ok(path) = std::env::var("PBGI_DUMP") {
-            use std::io::Write as _;
-            let mut f = std::fs::File::create(format!("{path}-{what}.txt"))?;
-            let k = found.len() / self.receivers.len();
-            for (i, r) in self.receivers.iter().enumerate() {
-                writeln!(f, "{} {} {} {} {} {} {} {}", r.position.x, r.position.y, r.position.z, r.normal.x, r.normal.y, r.normal.z, truth[i * k], found[i * k])?;
-            }
-        }
         let receivers = run.receivers as f64;
         let cut = format!("{:.0}", run.cut.cut_size() as f64 / receivers);
         self.print([what, self.label, &cut], found, truth, run.seconds / receivers)

@@ -188,8 +188,9 @@ pub fn convolve_diffuse(
     // The quadrature's own error, the same for every receiver of this normal, cancels here.
     let scale = PI / total(&weight_sum);
     let bent = Vec3::from_array(bent.each_ref().map(total));
+    let lamps = raster.lamp_irradiance();
     Diffuse {
-        surface_irradiance: surface.each_ref().map(|s| total(s) * scale),
+        surface_irradiance: std::array::from_fn(|c| total(&surface[c]) * scale + lamps[c]),
         environment_irradiance: distant.each_ref().map(|s| total(s) * scale),
         ambient_occlusion: (total(&open_sum) * scale / PI).clamp(0.0, 1.0),
         sky_visibility: (total(&sky) / total(&sky_sum)).clamp(0.0, 1.0),

@@ -1,6 +1,5 @@
 //! Solid angles of spheres and of flat patches.
 
-use glam::Vec3;
 use std::f32::consts::PI;
 
 /// Solid angle of a flat patch near the receiver over that of the same area in its middle, to second order.
@@ -48,6 +47,7 @@ pub fn sphere_sin2_for_solid_angle(solid_angle_sr: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::Vec3;
 
     /// Squares against sums over their parts, at every tilt: an order of magnitude nearer than their middle.
     #[test]

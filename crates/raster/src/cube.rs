@@ -17,6 +17,9 @@ const ALL: u16 = u16::MAX;
 /// Solid angle, in steradians, up to which a piece's own solid angle is better than the count of its samples.
 const SMALL_SR: f32 = 0.06;
 
+/// The same of lamps, whose flux must not depend on how far their pieces reach over their edges.
+const LARGE_LAMP_SR: f32 = 0.25;
+
 /// How a piece covers and shines.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Ink {
@@ -158,6 +161,9 @@ impl TexelTilt {
 #[derive(Clone, Copy, Debug)]
 struct Hit {
     index: u32,
+    face: u8,
+    column: u8,
+    row: u8,
     /// Which of the shapes drawn together.
     shape: u8,
     /// Above the horizon and not hidden.
@@ -183,6 +189,8 @@ pub struct CubeRaster {
     stride: usize,
     shines: bool,
     lamp_radiance: f32,
+    lamp_irradiance: [f32; 3],
+    normal: Vec3,
     texels: Vec<Texel>,
     lights: Vec<TexelLight>,
     /// Empty where no piece shines.
@@ -214,6 +222,8 @@ impl CubeRaster {
             stride,
             shines,
             lamp_radiance: f32::INFINITY,
+            lamp_irradiance: [0.0; 3],
+            normal: Vec3::Z,
             texels: vec![Texel::default(); 6 * n * stride],
             lights: vec![TexelLight::NONE; 6 * n * stride],
             tilts: vec![TexelTilt::default(); if shines { 6 * n * stride } else { 0 }],
@@ -242,7 +252,9 @@ impl CubeRaster {
     pub fn clear<L: Lanes>(&mut self, normal: Vec3) {
         if self.shines {
             self.lights.fill(TexelLight::NONE);
+            self.lamp_irradiance = [0.0; 3];
         }
+        self.normal = normal;
         let step = self.step;
         for face in CubeFace::ALL {
             let [ua, va] = face.uv_axes();
@@ -354,22 +366,10 @@ impl CubeRaster {
             self.cover::<L, S>(shapes, range, &mut met);
         }
         if self.shines {
-            for hit in &self.hits {
-                let ink = &shapes[usize::from(hit.shape)].1;
-                let above = self.texels[hit.index as usize].above.count_ones() as f32;
-                let tilt = &self.tilts[hit.index as usize];
-                let samples = if ink.solid_angle < SMALL_SR {
-                    let per_sample = ink.solid_angle
-                        * self.inverse_solid_angles[hit.index as usize]
-                        / met[usize::from(hit.shape)] as f32;
-                    let count = hit.visible.count_ones() as f32;
-                    count * per_sample * SAMPLES as f32 * tilt.cosine.mean(hit.visible)
-                } else {
-                    hit.new.count_ones() as f32 * tilt.sample.mean(hit.new)
-                };
-                let share = samples / larger_than_zero(above);
-                let is_lamp = is_lamp(&ink.radiance, self.lamp_radiance);
-                self.lights[hit.index as usize].add(share, &ink.radiance, is_lamp);
+            for number in 0..self.hits.len() {
+                let hit = self.hits[number];
+                let (ink, met) = (&shapes[usize::from(hit.shape)].1, met[usize::from(hit.shape)]);
+                self.shine(&hit, ink, met, toward);
             }
             for ((shape, ink), met) in shapes.iter().zip(met) {
                 if met == 0 {
@@ -377,6 +377,67 @@ impl CubeRaster {
                 }
             }
         }
+    }
+
+    /// Adds the light of a piece that met `met` samples in all to a texel in which it met some.
+    #[inline(always)]
+    fn shine(&mut self, hit: &Hit, ink: &Ink, met: u32, toward: Vec3) {
+        let index = hit.index as usize;
+        let above = self.texels[index].above.count_ones() as f32;
+        let count = hit.visible.count_ones();
+        if self.is_lamp(ink) && ink.solid_angle < LARGE_LAMP_SR {
+            let solid_angle = ink.solid_angle * count as f32 / met as f32;
+            // Where it met samples of one texel only, their places say less of it than its own.
+            let cosine = if count == met && toward != Vec3::ZERO {
+                self.normal.dot(toward) / toward.length()
+            } else {
+                self.cosine_in(hit, offset_sum(hit.visible).map(|sum| sum / count as f32))
+            };
+            self.shine_lamp(index, solid_angle, cosine, &ink.radiance);
+            return;
+        }
+        let tilt = &self.tilts[index];
+        let samples = if ink.solid_angle < SMALL_SR {
+            let per_sample = ink.solid_angle * self.inverse_solid_angles[index] / met as f32;
+            count as f32 * per_sample * SAMPLES as f32 * tilt.cosine.mean(hit.visible)
+        } else {
+            hit.new.count_ones() as f32 * tilt.sample.mean(hit.new)
+        };
+        self.lights[index].add(samples / larger_than_zero(above), &ink.radiance);
+    }
+
+    /// Adds the light of a lamp that shows this solid angle in a texel, at this cosine: it counts as it is, whatever the texel's size.
+    #[inline(always)]
+    fn shine_lamp(&mut self, index: usize, solid_angle: f32, cosine: f32, radiance: &[f32; 3]) {
+        let weight = solid_angle * crate::larger(cosine, 0.0);
+        for (sum, light) in self.lamp_irradiance.iter_mut().zip(radiance) {
+            *sum += weight * light;
+        }
+        let above = self.texels[index].above.count_ones() as f32;
+        let texel = self.inverse_solid_angles[index] * SAMPLES as f32 / larger_than_zero(above);
+        self.lights[index].add_lamp(solid_angle * texel);
+    }
+
+    /// Cosine to the receiver's normal at a place of a texel, −1..=1 from border to border.
+    #[inline(always)]
+    fn cosine_in(&self, hit: &Hit, place: [f32; 2]) -> f32 {
+        let [u, v] = [(hit.column, place[0]), (hit.row, place[1])]
+            .map(|(i, place)| self.corner(usize::from(i)) + (0.5 * place + 0.5) * self.step);
+        let direction = CubeFace(hit.face).direction(u, v);
+        self.normal.dot(direction) / direction.length()
+    }
+
+    #[inline(always)]
+    fn is_lamp(&self, ink: &Ink) -> bool {
+        let [r, g, b] = ink.radiance;
+        r >= self.lamp_radiance || g >= self.lamp_radiance || b >= self.lamp_radiance
+    }
+
+    /// Irradiance from lamps, W·m⁻².
+    #[must_use]
+    #[inline(always)]
+    pub fn lamp_irradiance(&self) -> [f32; 3] {
+        self.lamp_irradiance
     }
 
     /// Covers the samples in a range of texels that meet the shapes, and counts for each how many do.
@@ -424,8 +485,16 @@ impl CubeRaster {
                         let hidden = before & L::bits(w.mul(nearer).le(L::load(depths)));
                         let visible = met & texel.above & !hidden;
                         if visible | new != 0 {
-                            let shape = number as u8;
-                            self.hits.push(Hit { index: index as u32, shape, visible, new });
+                            self.hits.push(Hit {
+                                index: index as u32,
+                                face: range.face,
+                                // One on already.
+                                column: (column - 1) as u8,
+                                row: row as u8,
+                                shape: number as u8,
+                                visible,
+                                new,
+                            });
                         }
                     }
                     if new != 0 {
@@ -470,11 +539,15 @@ impl CubeRaster {
         if texel.covered >> sample & 1 != 0 && is_hidden {
             return;
         }
+        if self.is_lamp(ink) {
+            let cosine = self.normal.dot(toward) / toward.length();
+            self.shine_lamp(index, ink.solid_angle, cosine, &ink.radiance);
+            return;
+        }
         let above = texel.above.count_ones() as f32;
         let whole = self.inverse_solid_angles[index] * SAMPLES as f32 / above;
         let cosine = self.tilts[index].cosine.at(place_in_texel.map(|x| 2.0 * x - 1.0));
-        let is_lamp = is_lamp(&ink.radiance, self.lamp_radiance);
-        self.lights[index].add(ink.solid_angle * whole * cosine, &ink.radiance, is_lamp);
+        self.lights[index].add(ink.solid_angle * whole * cosine, &ink.radiance);
     }
 
     /// Share of texel `index` (in memory), above the horizon, that no surface covers.
@@ -497,7 +570,7 @@ impl CubeRaster {
             let offset = texel.open_offset();
             (chunk.open_offset[0][lane], chunk.open_offset[1][lane]) = (offset[0], offset[1]);
             let light = &self.lights[index * LANES + lane];
-            let radiance = if texel.covered == ALL { light.made_whole() } else { light.as_it_is() };
+            let radiance = if texel.covered == ALL { light.made_whole() } else { light.radiance };
             for (plane, light) in chunk.radiance.iter_mut().zip(radiance) {
                 plane[lane] = light;
             }
@@ -511,11 +584,6 @@ impl CubeRaster {
     pub fn shines(&self) -> bool {
         self.shines
     }
-}
-
-#[inline(always)]
-fn is_lamp(radiance: &[f32; 3], least: f32) -> bool {
-    radiance[0] >= least || radiance[1] >= least || radiance[2] >= least
 }
 
 /// The smaller of two indices.

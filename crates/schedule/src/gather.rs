@@ -243,11 +243,10 @@ impl<'a> Gatherer<'a> {
         };
         let user_sr = self.settings.solid_angle_sr;
         let terms = self.settings.importance;
-        let lamps = &self.lamps;
         if terms == ImportanceTerms::OFF {
             self.walker.pick(receiver, &uniform(user_sr), &mut visitor)?;
         } else {
-            let threshold = LobeThreshold { user_sr, texel_sr, lobe, axis, terms, stakes, lamps };
+            let threshold = LobeThreshold { user_sr, texel_sr, lobe, axis, terms, stakes };
             self.walker.pick(receiver, &threshold, &mut visitor)?;
         }
         (shading.reflected, shading.gloss_albedo) = self.lobe.resolve(self.light);

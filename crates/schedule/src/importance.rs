@@ -162,12 +162,12 @@ impl<'a> Stakes<'a> {
         self.inverse == 0.0 || (self.surfaces.is_some() && self.sky.is_none())
     }
 
-    /// Factor of light so many times as bright as usual.
+    /// Factor of light so many times as bright as usual. A node may hide lamps of this brightness.
     ///
     /// Where a node lies is known to about its half-angle, so the error of the light that it sends or hides is as its radiance times its
     /// solid angle to the power 3/2: errors are equal where solid angles are as the radiance to the power −2/3.
     #[inline(always)]
-    fn factor(&self, node: &NodeSeen, lamps: &Lamps) -> f32 {
+    fn factor(&self, node: &NodeSeen, lamps: f32) -> f32 {
         if self.are_even() {
             return 1.0;
         }
@@ -176,7 +176,6 @@ impl<'a> Stakes<'a> {
             Some(sky) => sky.brightness(node.to_center, node.radius2 / node.distance2),
             None => self.sky_mean,
         };
-        let lamps = lamps.behind(node);
         let hides = if hides > lamps { hides } else { lamps };
         let at_stake = if shines > hides { shines } else { hides };
         let factor = power_minus_two_thirds(at_stake * self.inverse);
@@ -209,7 +208,7 @@ impl Threshold for CubeThreshold<'_> {
 
     #[inline(always)]
     fn sin2_max(&self, node: &NodeSeen) -> f32 {
-        let mut factor = self.stakes.factor(node, self.lamps);
+        let mut factor = self.stakes.factor(node, self.lamps.behind(node));
         if self.terms.cosine {
             let height = self.normal.dot(node.to_center) + node.radius2.sqrt();
             factor /= (height / node.distance2.sqrt()).clamp(COSINE_MIN, 1.0);
@@ -239,7 +238,6 @@ pub(crate) struct LobeThreshold<'a> {
     pub axis: Vec3,
     pub terms: ImportanceTerms,
     pub stakes: Stakes<'a>,
-    pub lamps: &'a Lamps,
 }
 
 impl Threshold for LobeThreshold<'_> {
@@ -250,7 +248,7 @@ impl Threshold for LobeThreshold<'_> {
     /// angle that this share has where the node comes nearest to the mirror direction.
     #[inline(always)]
     fn sin2_max(&self, node: &NodeSeen) -> f32 {
-        let mut factor = self.stakes.factor(node, self.lamps);
+        let mut factor = self.stakes.factor(node, 0.0);
         if self.terms.quality && node.is_plane {
             factor *= PLANE_FACTOR;
         }
@@ -282,7 +280,8 @@ mod tests {
 
     fn cube(terms: ImportanceTerms, surfaces: f32) -> CubeThreshold<'static> {
         let stakes = Stakes::new(terms, surfaces, None);
-        CubeThreshold { user_sr: 0.1, texel_sr: 0.01, normal: Vec3::Y, terms, stakes }
+        let lamps = Box::leak(Box::new(Lamps::new()));
+        CubeThreshold { user_sr: 0.1, texel_sr: 0.01, normal: Vec3::Y, terms, stakes, lamps }
     }
 
     fn only(name: &str) -> ImportanceTerms {
