@@ -16,6 +16,7 @@ use pbgi_schedule::{
     ShadeOptions, ShadeReport, Shading, shade_receivers,
 };
 use pbgi_store::Octree;
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 /// Compares with the references of a folder: rRMSE, bias and percentiles beside core-µs per receiver.
@@ -49,6 +50,9 @@ struct Arguments {
     /// light only.
     #[arg(long)]
     causes: bool,
+    /// Folder for one CSV file per scene and quantity: position, normal, truth and result of every receiver, of the first channel.
+    #[arg(long)]
+    results: Option<PathBuf>,
     /// room, plaza, embers, thicket.
     #[arg(default_values_t = ["room", "plaza", "embers", "thicket"].map(str::to_owned))]
     scenes: Vec<String>,
@@ -91,6 +95,7 @@ struct Bench<'a> {
     receivers: Vec<Receiver>,
     settings: GatherSettings,
     every: usize,
+    results: Option<&'a Path>,
 }
 
 impl Bench<'_> {
@@ -115,9 +120,25 @@ impl Bench<'_> {
     }
 
     fn report(&self, what: &str, found: &[f32], truth: &[f32], run: &ShadeReport) -> Result<()> {
+        if let Some(folder) = self.results {
+            self.write_results(folder, what, found, truth)?;
+        }
         let receivers = run.receivers as f64;
         let cut = format!("{:.0}", run.cut.cut_size() as f64 / receivers);
         self.print([what, self.label, &cut], found, truth, run.seconds / receivers)
+    }
+
+    fn write_results(&self, folder: &Path, what: &str, found: &[f32], truth: &[f32]) -> Result<()> {
+        let channels = found.len() / self.receivers.len().max(1);
+        let mut text = "x,y,z,nx,ny,nz,truth,found\n".to_owned();
+        for (i, r) in self.receivers.iter().enumerate() {
+            let (p, n, at) = (r.position, r.normal, i * channels);
+            let place = [p.x, p.y, p.z, n.x, n.y, n.z].map(|x| x.to_string()).join(",");
+            writeln!(text, "{place},{},{}", truth[at], found[at])?;
+        }
+        let name = format!("{}-{what}{}.csv", self.name, self.label.replace(' ', "-"));
+        let path = folder.join(name);
+        std::fs::write(&path, text).with_context(|| path.display().to_string())
     }
 
     fn print(
@@ -303,6 +324,7 @@ fn main() -> Result<()> {
                 receivers: receivers.clone(),
                 settings: *settings,
                 every: arguments.every,
+                results: arguments.results.as_deref(),
             };
             let path = temporary.path().join("scene.pbgi");
             bench.run(&surfels, &bake(&surfels, &path)?, &path)?;
