@@ -37,13 +37,9 @@ fn stored(sums: &[LobeSum]) -> Vec<Lobe> {
 }
 
 fn sum_of(a: &LobeSum, b: &LobeSum) -> LobeSum {
-    LobeSum {
-        vector: a.vector + b.vector,
-        area: a.area + b.area,
-        moment: a.moment + b.moment,
-        flux: std::array::from_fn(|c| a.flux[c] + b.flux[c]),
-        blocks_back: a.blocks_back,
-    }
+    let mut sum = *a;
+    sum.add(b);
+    sum
 }
 
 /// The node's lobes, summed until at most `most` are left or none may be summed; the pair first that changes least what is shown. Returns

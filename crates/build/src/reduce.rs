@@ -241,6 +241,7 @@ mod tests {
                         moment: DVec3::splat(i as f64) * area,
                         flux: [light * area; 3],
                         blocks_back: round % 3 > 0 || i % 2 == 0,
+                        scatter: 0.0,
                     }
                 })
                 .collect();

@@ -212,7 +212,7 @@ fn see_lobe(lobe: &Lobe, center: Vec3, half: Vec3, toward_receiver: Vec3) -> Opt
     let (front, back) = (0.5 * (along + root), 0.5 * (root - along));
     let back = if lobe.blocks_back { back } else { 0.0 };
     let is_front = if is_flat { height < 0.0 } else { front > 0.0 };
-    let area = if is_flat && !is_front { back } else { front.max(back) };
+    let mut area = if is_flat && !is_front { back } else { front.max(back) };
     if !(area > 0.0) {
         return None;
     }
@@ -244,6 +244,14 @@ fn see_lobe(lobe: &Lobe, center: Vec3, half: Vec3, toward_receiver: Vec3) -> Opt
             patch_solid_angle_factor(distance2, spread2, variance.dot(across * across));
     }
     let is_sheet = !lobe.blocks_back;
+    if is_flat && is_sheet && is_front {
+        // Leaves above each other cover less than they have area, and hide as much of their light.
+        let covered = lobe.fill * central_section_area(half, normal);
+        if covered < length {
+            piece.solid_angle *= covered / length;
+            area *= covered / length;
+        }
+    }
     Some(Shown { piece, point, distance2, opacity, area, is_sheet, is_flat, is_front })
 }
 
