@@ -75,3 +75,22 @@ fn a_parallel_lamp_has_its_closed_form() {
     let expected = 3.0 * std::f64::consts::PI * factor;
     assert!((found.irradiance[0][0] / expected - 1.0).abs() < 2e-3, "{found:?} {expected}");
 }
+
+/// One radiance from everywhere, of a sky and of walls that shine: the second is also drawn from, and both are found alike. Rough metals
+/// reflect less than comes.
+#[test]
+fn reflections_of_sky_and_walls_of_one_radiance_agree() {
+    let image = RgbImage { width: 16, height: 8, pixels: vec![[1.0; 3]; 128] };
+    let (sky, empty) = (SkyImage::new(image), Scene::default());
+    let open = Caster::new(&empty, Some(&sky));
+    let walls = cube(Material { base_color: [0.0; 3], emission: [1.0; 3], ..Material::default() });
+    let walled = Caster::new(&walls, None);
+    let eye = Vec3::new(0.6, 0.8, 0.0);
+    for alpha in [0.1, 0.3, 1.0] {
+        let of =
+            |caster: &Caster| caster.reflect(Vec3::ZERO, Vec3::Y, eye, alpha, 0..1 << 14, 5)[1];
+        let (sky, walls) = (of(&open), of(&walled));
+        assert!((sky / walls - 1.0).abs() < 5e-3, "{alpha}: {sky} {walls}");
+        assert!(sky < 1.0 && sky > 0.5, "{alpha}: {sky}");
+    }
+}
