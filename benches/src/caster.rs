@@ -11,6 +11,7 @@ use obvhs::{BvhBuildParams, triangle::Triangle};
 use pbgi_math::{Frame, Vec2, Vec3};
 use pbgi_scene::{Material, Scene, Texture};
 use std::f32::consts::{PI, TAU};
+use std::ops::Range;
 use std::time::Duration;
 
 /// Distance by which rays start above a place, as a share of its largest coordinate: some hundred times what coordinates are off by.
@@ -25,6 +26,9 @@ const DIMENSIONS: u32 = 8;
 
 /// Bounces a path may have, at most: the sequence has 256 dimensions.
 pub const BOUNCES_MAX: u32 = 30;
+
+/// Paths that may have one seed, at most: the points of the sequence.
+pub const PATHS_MAX: u32 = 1 << 16;
 
 /// What a triangle looks like.
 #[derive(Clone, Copy)]
@@ -186,8 +190,15 @@ impl<'a> Caster<'a> {
         self.tree.ray_traverse_miss(ray, |ray, id| self.meet(ray, index(id)))
     }
 
-    /// Emitted radiance of the side that was met.
-    fn emission(&self, hit: &Hit) -> [f32; 3] {
+    /// The material of what was met.
+    #[must_use]
+    pub fn material_of(&self, hit: &Hit) -> &'a Material {
+        self.material(&self.faces[hit.triangle])
+    }
+
+    /// Emitted radiance of the side that was met, W·m⁻²·sr⁻¹.
+    #[must_use]
+    pub fn emission(&self, hit: &Hit) -> [f32; 3] {
         let face = &self.faces[hit.triangle];
         let material = self.material(face);
         if !hit.is_front || material.emission == [0.0; 3] {
@@ -198,7 +209,8 @@ impl<'a> Caster<'a> {
     }
 
     /// Diffuse albedo of the side that was met; backs are black.
-    fn albedo(&self, hit: &Hit) -> [f32; 3] {
+    #[must_use]
+    pub fn albedo(&self, hit: &Hit) -> [f32; 3] {
         if !hit.is_front {
             return [0.0; 3];
         }
@@ -225,21 +237,21 @@ impl<'a> Caster<'a> {
         0.5 * (v1 - v0).cross(v2 - v0).length()
     }
 
-    /// Light at a place with a unit normal, by `samples` paths of up to `bounces` bounces ([`BOUNCES_MAX`]); `seed` makes the
-    /// estimates of different places and runs independent.
+    /// Light at a place with a unit normal, by the paths `paths` (below [`PATHS_MAX`]) of up to `bounces` bounces ([`BOUNCES_MAX`]);
+    /// `seed` makes the estimates of different places and runs independent, and the mean of successive ranges is that of all of them.
     #[must_use]
     pub fn gather(
         &self,
         position: Vec3,
         normal: Vec3,
         bounces: u32,
-        samples: u32,
+        paths: Range<u32>,
         seed: u32,
     ) -> Gathered {
         let bounces = bounces.min(BOUNCES_MAX);
         let mut sums = vec![[0f64; 3]; bounces as usize + 1];
-        let mut open = 0u32;
-        for index in 0..samples {
+        let (mut open, samples) = (0u32, paths.len());
+        for index in paths {
             let (mut position, mut normal, mut throughput) = (position, normal, [1f32; 3]);
             for bounce in 0..=bounces {
                 let random =
@@ -264,7 +276,7 @@ impl<'a> Caster<'a> {
                 normal = hit.normal;
             }
         }
-        let scale = 1.0 / f64::from(samples.max(1));
+        let scale = 1.0 / samples.max(1) as f64;
         let irradiance = sums.into_iter().map(|sum| sum.map(|c| c * scale)).collect();
         Gathered { openness: f64::from(open) * scale, irradiance }
     }
@@ -300,8 +312,22 @@ impl<'a> Caster<'a> {
         normal: Vec3,
         random: &dyn Fn(u32) -> f32,
     ) -> [f32; 3] {
-        let Some(emitters) = &self.emitters else { return [0.0; 3] };
-        let triangle = emitters.sample(random(4));
+        let Some((direction, light, density)) = self.draw_emitter(position, normal, random) else {
+            return [0.0; 3];
+        };
+        let cosine = normal.dot(direction);
+        let weight = cosine / (density + cosine / PI);
+        light.map(|c| c * weight)
+    }
+
+    /// Direction, radiance and density of a point drawn from the triangles that emit, if it shines on the place.
+    fn draw_emitter(
+        &self,
+        position: Vec3,
+        normal: Vec3,
+        random: &dyn Fn(u32) -> f32,
+    ) -> Option<(Vec3, [f32; 3], f32)> {
+        let triangle = self.emitters.as_ref()?.sample(random(4));
         let (root, v) = (random(5).sqrt(), random(6));
         let place = Vec3::new(1.0 - root, root * (1.0 - v), root * v);
         let Triangle { v0, v1, v2 } = self.triangles[triangle];
@@ -319,17 +345,18 @@ impl<'a> Caster<'a> {
             is_front: from_front || self.material(face).double_sided,
             place,
         };
-        let (cosine, light) = (normal.dot(direction), self.emission(&hit));
+        let light = self.emission(&hit);
         let before = distance - 2.0 * self.offset(target);
-        if cosine <= 0.0 || light == [0.0; 3] || !self.is_open(start, direction, before) {
-            return [0.0; 3];
+        let shines = normal.dot(direction) > 0.0 && light != [0.0; 3];
+        if !shines || !self.is_open(start, direction, before) {
+            return None;
         }
-        let weight = cosine / (self.emitter_density(&hit, direction) + cosine / PI);
-        light.map(|c| c * weight)
+        Some((direction, light, self.emitter_density(&hit, direction)))
     }
 
     /// Radiance that microfacets of width α reflect toward the unit direction `eye`, without a Fresnel term, of light that comes
-    /// straight from emitters and sky.
+    /// straight from emitters and sky; paths and seed as in [`Caster::gather`]. Half vectors are drawn by their density, and where there are
+    /// emitters, points on them; the two are weighted by the balance heuristic.
     #[must_use]
     pub fn reflect(
         &self,
@@ -337,36 +364,69 @@ impl<'a> Caster<'a> {
         normal: Vec3,
         eye: Vec3,
         alpha: f32,
-        samples: u32,
+        paths: Range<u32>,
         seed: u32,
     ) -> [f32; 3] {
         let frame = Frame::from_normal(normal);
         let start = self.above(position, normal);
-        let mut sum = [0f64; 3];
-        for index in 0..samples {
+        let lobe = MicrofacetLobe { normal, eye, alpha };
+        let (mut sum, count) = ([0f64; 3], paths.len());
+        for index in paths {
             let random = |dimension| sobol_burley::sample(index, dimension, seed);
-            // Half vectors by their projected area: D (n·h).
-            let (sin, cos) = (TAU * random(0)).sin_cos();
-            let tan2 = alpha * alpha * random(1) / (1.0 - random(1));
-            let cos_half = 1.0 / (1.0 + tan2).sqrt();
-            let sin_half = (1.0 - cos_half * cos_half).max(0.0).sqrt();
-            let half = frame.to_world(Vec3::new(sin_half * cos, sin_half * sin, cos_half));
-            let direction = half * (2.0 * eye.dot(half)) - eye;
-            let (cosine, toward) = (normal.dot(direction), normal.dot(eye));
-            if cosine <= 0.0 || toward <= 0.0 || eye.dot(half) <= 0.0 {
-                continue;
+            let direction = lobe.draw(&frame, random(0), random(1));
+            if let Some((value, density)) = lobe.reflectance(direction) {
+                let (radiance, other) = match self.cast(start, direction) {
+                    Some(hit) => (self.emission(&hit), self.emitter_density(&hit, direction)),
+                    None => (self.sky.as_ref().map_or([0.0; 3], |s| s.look_up(direction).0), 0.0),
+                };
+                let weight = value / (density + other);
+                (0..3).for_each(|c| sum[c] += f64::from(radiance[c] * weight));
             }
-            let radiance = match self.cast(start, direction) {
-                Some(hit) => self.emission(&hit),
-                None => self.sky.as_ref().map_or([0.0; 3], |sky| sky.look_up(direction).0),
-            };
-            let shadowing = smith(alpha, cosine) * smith(alpha, toward);
-            let weight = shadowing * eye.dot(half) / (toward * cos_half);
-            for c in 0..3 {
-                sum[c] += f64::from(radiance[c] * weight);
+            let drawn = self.draw_emitter(position, normal, &random);
+            if let Some((direction, radiance, density)) = drawn
+                && let Some((value, other)) = lobe.reflectance(direction)
+            {
+                let weight = value / (density + other);
+                (0..3).for_each(|c| sum[c] += f64::from(radiance[c] * weight));
             }
         }
-        sum.map(|c| (c / f64::from(samples.max(1))) as f32)
+        sum.map(|c| (c / count.max(1) as f64) as f32)
+    }
+}
+
+/// What microfacets reflect toward an eye.
+struct MicrofacetLobe {
+    normal: Vec3,
+    eye: Vec3,
+    alpha: f32,
+}
+
+impl MicrofacetLobe {
+    /// A direction whose half vector is drawn by D (n·h).
+    fn draw(&self, frame: &Frame, u: f32, v: f32) -> Vec3 {
+        let (sin, cos) = (TAU * u).sin_cos();
+        let tan2 = self.alpha * self.alpha * v / (1.0 - v);
+        let cos_half = 1.0 / (1.0 + tan2).sqrt();
+        let sin_half = (1.0 - cos_half * cos_half).max(0.0).sqrt();
+        let half = frame.to_world(Vec3::new(sin_half * cos, sin_half * sin, cos_half));
+        half * (2.0 * self.eye.dot(half)) - self.eye
+    }
+
+    /// Reflectance times cosine of a direction, and the density with which it is drawn; none where nothing is reflected.
+    fn reflectance(&self, direction: Vec3) -> Option<(f32, f32)> {
+        let (cosine, toward) = (self.normal.dot(direction), self.normal.dot(self.eye));
+        let half = (direction + self.eye).try_normalize()?;
+        let (cos_half, eye_half) = (self.normal.dot(half), self.eye.dot(half));
+        if cosine <= 0.0 || toward <= 0.0 || eye_half <= 0.0 || cos_half <= 0.0 {
+            return None;
+        }
+        let a2 = self.alpha * self.alpha;
+        let spread = cos_half * cos_half * (a2 - 1.0) + 1.0;
+        let facets = a2 / (PI * spread * spread);
+        let shadowing = smith(self.alpha, cosine) * smith(self.alpha, toward);
+        let value = facets * shadowing / (4.0 * toward);
+        let density = facets * cos_half / (4.0 * eye_half);
+        (density > 0.0).then_some((value, density))
     }
 }
 

@@ -27,6 +27,23 @@ impl SkyImage {
         Self { image }
     }
 
+    /// Row and column of a unit direction.
+    fn pixel(&self, direction: Vec3) -> (usize, usize) {
+        let image = &self.image;
+        let theta = f64::from(direction.y.clamp(-1.0, 1.0)).acos();
+        let phi = f64::from(direction.x).atan2(f64::from(-direction.z)).rem_euclid(TAU);
+        let row = ((theta / PI * image.height as f64) as usize).min(image.height - 1);
+        let column = ((phi / TAU * image.width as f64) as usize).min(image.width - 1);
+        (row, column)
+    }
+
+    /// Radiance of a unit direction.
+    #[must_use]
+    pub fn radiance(&self, direction: Vec3) -> [f32; 3] {
+        let (row, column) = self.pixel(direction);
+        self.image.pixels[row * self.image.width + column]
+    }
+
     /// Solid angle of the pixels of a row.
     fn pixel_sr(&self, row: usize) -> f64 {
         let edge = |row: usize| (PI * row as f64 / self.image.height as f64).cos();
@@ -117,12 +134,8 @@ impl<'a> EnvironmentSampler<'a> {
     /// Radiance of a unit direction, and the density with which it is drawn.
     #[must_use]
     pub fn look_up(&self, direction: Vec3) -> ([f32; 3], f32) {
-        let image = &self.sky.image;
-        let theta = f64::from(direction.y.clamp(-1.0, 1.0)).acos();
-        let phi = f64::from(direction.x).atan2(f64::from(-direction.z)).rem_euclid(TAU);
-        let row = ((theta / PI * image.height as f64) as usize).min(image.height - 1);
-        let column = ((phi / TAU * image.width as f64) as usize).min(image.width - 1);
-        (image.pixels[row * image.width + column], self.density(row, column))
+        let (row, column) = self.sky.pixel(direction);
+        (self.sky.radiance(direction), self.density(row, column))
     }
 }
 

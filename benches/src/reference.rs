@@ -172,7 +172,7 @@ impl Bench<'_> {
     ) -> Result<()> {
         let timer = ThreadTimer::start();
         let gather = |(i, r): (usize, &Receiver)| {
-            value(&caster.gather(r.position, r.normal, bounces, self.rays, i as u32))
+            value(&caster.gather(r.position, r.normal, bounces, 0..self.rays, i as u32))
         };
         let found: Vec<[f32; 3]> = self.receivers.iter().enumerate().map(gather).collect();
         let seconds = timer.seconds() / found.len().max(1) as f64;
@@ -215,7 +215,7 @@ impl Bench<'_> {
                 let timer = ThreadTimer::start();
                 let cast = |(i, r): (usize, &Receiver)| {
                     let eye = (EMBERS_EYE - r.position).normalize();
-                    caster.reflect(r.position, r.normal, eye, alpha, self.rays, i as u32)
+                    caster.reflect(r.position, r.normal, eye, alpha, 0..self.rays, i as u32)
                 };
                 let found: Vec<[f32; 3]> = bench.receivers.iter().enumerate().map(cast).collect();
                 let seconds = timer.seconds() / found.len().max(1) as f64;
@@ -275,7 +275,8 @@ impl Bench<'_> {
                     let caster = Caster::new(self.scene, None);
                     let timer = ThreadTimer::start();
                     let open = |(i, r): (usize, &Receiver)| {
-                        caster.gather(r.position, r.normal, 0, self.rays, i as u32).openness as f32
+                        caster.gather(r.position, r.normal, 0, 0..self.rays, i as u32).openness
+                            as f32
                     };
                     let found: Vec<f32> = self.receivers.iter().enumerate().map(open).collect();
                     let seconds = timer.seconds() / found.len().max(1) as f64;

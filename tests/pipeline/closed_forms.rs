@@ -146,6 +146,42 @@ fn disks_that_reach_over_a_convex_edge_hide_nothing() {
     }
 }
 
+/// A curtain bends from facet to facet. The other side of the next facet reaches over the fold, faces whoever stands on this one, and hides
+/// nothing: outside, a drum of cloth is open to half the world.
+#[test]
+fn folds_of_a_sheet_hide_nothing_from_outside() {
+    let facets = 24;
+    let step = 2.0 * (PI / facets as f32).tan();
+    let outward = |facet: f32| {
+        let (sin, cos) = (facet * 2.0 * PI / facets as f32).sin_cos();
+        Vec3::new(cos, 0.0, sin)
+    };
+    let mut surfels = Vec::new();
+    for facet in 0..facets {
+        let normal = outward(facet as f32);
+        for row in -8..=8 {
+            let center = normal + row as f32 * step * Vec3::Y;
+            for side in [normal, -normal] {
+                let surfel = Surfel::new(center, side, 0.5f32.sqrt() * step, step * step);
+                surfels.push(surfel.with_flags(SurfelFlags::FRONT_ONLY));
+            }
+        }
+    }
+    let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
+    let settings = GatherSettings { solid_angle_sr: 0.0, ..GatherSettings::default() };
+    for facet in [0.0, 5.0, 11.0] {
+        let normal = outward(facet);
+        let along = normal.cross(Vec3::Y);
+        for [u, v] in [[0.0, 0.0], [0.3, 0.1], [0.45, -0.4], [-0.49, 0.2]] {
+            let place = normal + step * (u * along + v * Vec3::Y);
+            let outside = gather(&octree, &settings, Receiver::diffuse(place, normal));
+            assert!(outside.ambient_occlusion > 0.995, "{u} {v}: {}", outside.ambient_occlusion);
+            let inside = gather(&octree, &settings, Receiver::diffuse(place, -normal));
+            assert!(inside.ambient_occlusion < 0.3, "{u} {v}: {}", inside.ambient_occlusion);
+        }
+    }
+}
+
 /// With a zero threshold the gather is that of rays against the disks, up to the raster's resolution.
 #[test]
 fn a_zero_threshold_matches_rays_against_all_disks() {

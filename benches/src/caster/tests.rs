@@ -33,7 +33,7 @@ fn a_glowing_room_is_a_geometric_series() {
     let room = Material { base_color: [0.5; 3], emission: [2.0; 3], ..Material::default() };
     let scene = cube(room);
     let caster = Caster::new(&scene, None);
-    let found = caster.gather(Vec3::new(0.3, -1.0, 0.2), Vec3::Y, 3, 1 << 14, 1);
+    let found = caster.gather(Vec3::new(0.3, -1.0, 0.2), Vec3::Y, 3, 0..1 << 14, 1);
     for (bounce, irradiance) in found.irradiance.iter().enumerate() {
         let expected = f64::from(2.0 * PI) * 0.5f64.powi(bounce as i32);
         assert!((irradiance[1] / expected - 1.0).abs() < 1e-2, "{bounce}: {irradiance:?}");
@@ -46,7 +46,7 @@ fn an_even_sky_gives_pi_and_what_hides_it_less() {
     let image = RgbImage { width: 16, height: 8, pixels: vec![[1.0, 2.0, 0.0]; 128] };
     let sky = SkyImage::new(image);
     let empty = Scene::default();
-    let open = Caster::new(&empty, Some(&sky)).gather(Vec3::ZERO, Vec3::X, 0, 1024, 7);
+    let open = Caster::new(&empty, Some(&sky)).gather(Vec3::ZERO, Vec3::X, 0, 0..1024, 7);
     let expected = f64::from(PI);
     assert!((open.irradiance[0][0] / expected - 1.0).abs() < 2e-3, "{open:?}");
     assert!((open.irradiance[0][1] / expected - 2.0).abs() < 4e-3);
@@ -56,7 +56,7 @@ fn an_even_sky_gives_pi_and_what_hides_it_less() {
     wall.meshes[0].triangles.truncate(2);
     let stretch = Affine3A::from_scale(Vec3::new(1.0, 1e4, 1e4));
     wall.instances[0].transform = stretch;
-    let hidden = Caster::new(&wall, Some(&sky)).gather(Vec3::ZERO, Vec3::Y, 0, 4096, 7);
+    let hidden = Caster::new(&wall, Some(&sky)).gather(Vec3::ZERO, Vec3::Y, 0, 0..4096, 7);
     assert!((hidden.irradiance[0][0] / expected - 0.5).abs() < 5e-3, "{hidden:?}");
     assert!((hidden.openness - 0.5).abs() < 5e-3);
 }
@@ -68,10 +68,30 @@ fn a_parallel_lamp_has_its_closed_form() {
     let mut scene = cube(lamp);
     let triangles = &mut scene.meshes[0].triangles;
     *triangles = triangles[6..8].to_vec();
-    let found = Caster::new(&scene, None).gather(Vec3::ZERO, Vec3::Y, 0, 4096, 3);
+    let found = Caster::new(&scene, None).gather(Vec3::ZERO, Vec3::Y, 0, 0..4096, 3);
     // Four corners of a rectangle a × b at distance 1: (1/2π) [a/√(1+a²) atan(b/√(1+a²)) + …].
     let root = 2f64.sqrt();
     let factor = 4.0 / (2.0 * std::f64::consts::PI) * (2.0 / root * (1.0 / root).atan());
     let expected = 3.0 * std::f64::consts::PI * factor;
     assert!((found.irradiance[0][0] / expected - 1.0).abs() < 2e-3, "{found:?} {expected}");
+}
+
+/// One radiance from everywhere, of a sky and of walls that shine: the second is also drawn from, and both are found alike. Rough metals
+/// reflect less than comes.
+#[test]
+fn reflections_of_sky_and_walls_of_one_radiance_agree() {
+    let image = RgbImage { width: 16, height: 8, pixels: vec![[1.0; 3]; 128] };
+    let (sky, empty) = (SkyImage::new(image), Scene::default());
+    let open = Caster::new(&empty, Some(&sky));
+    let walls = cube(Material { base_color: [0.0; 3], emission: [1.0; 3], ..Material::default() });
+    let walled = Caster::new(&walls, None);
+    let eye = Vec3::new(0.6, 0.8, 0.0);
+    // By a sum over 400 000 directions of the hemisphere, drawn evenly.
+    for (alpha, expected) in [(0.3, 0.856), (1.0, 0.3407)] {
+        let of =
+            |caster: &Caster| caster.reflect(Vec3::ZERO, Vec3::Y, eye, alpha, 0..1 << 14, 5)[1];
+        let (sky, walls) = (of(&open), of(&walled));
+        assert!((sky / walls - 1.0).abs() < 5e-3, "{alpha}: {sky} {walls}");
+        assert!((sky / expected - 1.0).abs() < 5e-3, "{alpha}: {sky}");
+    }
 }

@@ -426,6 +426,9 @@ struct Leaf {
 /// Share of its radius by which a surfel that faces the receiver's side must rise above the tangent plane: more than codes are off by.
 const FACING_BIAS: f32 = 0.05;
 
+/// Cosine of the angle by which neighboring pieces of one sheet may be folded.
+const FOLD_COSINE: f32 = 0.5;
+
 /// Whether a surfel, relative to the receiver, belongs to the surface the receiver lies on, as far as that can hide anything: it does not
 /// rise above the tangent plane, or is the other side of a convex edge.
 #[inline(always)]
@@ -443,8 +446,11 @@ fn is_own_surface(surfel: &LeafSurfel, receiver: &CutReceiver) -> bool {
     }
     // Disks reach over the edges of their surface. Where one of a solid thing is seen from behind and has its middle below the tangent
     // plane, the receiver's own surface lies before it.
-    let is_disk = !surfel.isotropic && !surfel.front_only && !surfel.tile.is_known();
-    is_disk && height <= 0.0 && surfel.normal.dot(surfel.center) > 0.0
+    // Where one of a sheet's other side is seen from its front, a fold of the receiver's own sheet does.
+    let is_disk = !surfel.isotropic && !surfel.tile.is_known();
+    let is_fold = surfel.front_only && tilt < -FOLD_COSINE;
+    let is_behind = !surfel.front_only && surfel.normal.dot(surfel.center) > 0.0;
+    is_disk && height <= 0.0 && (is_fold || is_behind)
 }
 
 #[inline(always)]

@@ -1,0 +1,130 @@
+//! The engine's side: bakes, gathers, settings from coarse to fine.
+
+use crate::cases::{Case, Light};
+use crate::workers::spread;
+use anyhow::Result;
+use pbgi_benches::{ThreadTimer, bake, dice, reflected_radiance};
+use pbgi_light::{Environment, EnvironmentOptions};
+use pbgi_schedule::{GatherParts, GatherSettings, Gatherer, PreparedLight, Receiver, Shading};
+use pbgi_store::Octree;
+use std::path::Path;
+
+/// Quality of a run of the engine.
+#[derive(Clone, Copy, Debug)]
+pub struct Setting {
+    /// Surfels over those of the default.
+    pub density: f64,
+    pub solid_angle_sr: f32,
+    pub raster_edge: usize,
+    pub lobe_level: u32,
+}
+
+const fn setting(
+    density: f64,
+    solid_angle_sr: f32,
+    raster_edge: usize,
+    lobe_level: u32,
+) -> Setting {
+    Setting { density, solid_angle_sr, raster_edge, lobe_level }
+}
+
+/// Settings beside the default, from coarse to fine; those of one density follow each other.
+pub const LADDER: [Setting; 7] = [
+    setting(0.1, 0.3, 4, 1),
+    setting(1.0, 0.2, 6, 2),
+    setting(1.0, 0.03, 8, 3),
+    setting(1.0, 0.01, 12, 4),
+    setting(4.0, 0.08, 8, 2),
+    setting(4.0, 0.02, 12, 3),
+    setting(4.0, 0.008, 16, 4),
+];
+
+impl Default for Setting {
+    fn default() -> Self {
+        let plain = GatherSettings::default();
+        setting(1.0, plain.solid_angle_sr, plain.raster_edge, plain.lobe_level)
+    }
+}
+
+impl Setting {
+    fn gather(&self, case: &Case) -> GatherSettings {
+        let parts = if case.gloss.is_some() { GatherParts::Sharp } else { GatherParts::All };
+        GatherSettings {
+            solid_angle_sr: self.solid_angle_sr,
+            raster_edge: self.raster_edge,
+            lobe_level: self.lobe_level,
+            parts,
+            ..GatherSettings::default()
+        }
+    }
+
+    /// What tells it from others.
+    pub fn label(&self, case: &Case) -> String {
+        let sharpness = match case.gloss {
+            Some(_) => format!("{} directions", 16 << (2 * self.lobe_level)),
+            None => format!("raster {}", self.raster_edge),
+        };
+        format!("surfels x {}, {} sr, {sharpness}", self.density, self.solid_angle_sr)
+    }
+}
+
+/// Bakes a scene with light that bounces among its surfels.
+///
+/// # Errors
+///
+/// If a step fails.
+pub fn bake_case(case: &Case, surfels: u64, path: &Path) -> Result<Octree> {
+    let surfels = dice(&case.scene, surfels)?;
+    let mut octree = bake(&surfels, path)?;
+    let (mut lit, settings) = (surfels.clone(), GatherSettings::default());
+    for _ in 0..case.bounces {
+        let reflected = reflected_radiance(&octree, None, &lit, &settings)?;
+        let sum = surfels.iter().zip(&reflected).map(|(own, reflected)| {
+            own.with_radiance(std::array::from_fn(|c| own.radiance[c] + reflected[c]))
+        });
+        lit = sum.collect();
+        octree = bake(&lit, path)?;
+    }
+    Ok(octree)
+}
+
+/// What receivers get, and the core-microseconds each takes.
+///
+/// # Errors
+///
+/// If the octree cannot be read.
+pub fn gather_all(
+    case: &Case,
+    octree: &Octree,
+    setting: &Setting,
+    places: &[(usize, Receiver)],
+) -> Result<(Vec<Light>, f64)> {
+    let settings = setting.gather(case);
+    let options = EnvironmentOptions::default();
+    let image = case.sky.clone();
+    let environment = image.map(|image| Environment::from_image(image, options)).transpose()?;
+    let light = environment.as_ref().map(|e| PreparedLight::new(e, settings.raster_edge));
+    let some = |places: &[(usize, Receiver)]| -> Result<(Vec<Light>, f64)> {
+        let mut gatherer = Gatherer::new(octree.reader(), &settings, light.as_ref());
+        // The first receiver pays for pages and tables.
+        places.first().map(|(_, receiver)| gatherer.gather(receiver)).transpose()?;
+        let timer = ThreadTimer::start();
+        let found = places.iter().map(|(_, r)| Ok(light_of(&gatherer.gather(r)?)));
+        Ok((found.collect::<Result<Vec<Light>>>()?, timer.seconds()))
+    };
+    let (mut all, mut seconds) = (Vec::with_capacity(places.len()), 0.0);
+    for part in spread(places, some) {
+        let (found, took) = part?;
+        all.extend(found);
+        seconds += took;
+    }
+    Ok((all, seconds * 1e6 / places.len().max(1) as f64))
+}
+
+fn light_of(shading: &Shading) -> Light {
+    Light {
+        openness: shading.ambient_occlusion,
+        irradiance: shading.irradiance(),
+        reflected: shading.reflected,
+    }
+}

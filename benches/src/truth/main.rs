@@ -1,0 +1,229 @@
+//! The engine beside an independent ray caster over the same triangles: error, time, and pictures of the difference.
+//!
+//! `cargo xtask truth`
+
+mod cases;
+mod curve;
+mod engine;
+mod page;
+mod paths;
+mod pictures;
+mod report;
+mod scan;
+mod workers;
+
+use anyhow::{Context, Result};
+use cases::{CASES, Case, Folders, Light, PICTURED, make_case};
+use clap::Parser;
+use engine::{LADDER, Setting, bake_case, gather_all};
+use paths::{RayCurve, Truth};
+use pbgi_benches::{Caster, SkyImage};
+use pbgi_schedule::Receiver;
+use pbgi_store::Octree;
+use report::Row;
+use std::path::{Path, PathBuf};
+
+/// Errors of the engine against ray-cast truth, and how long rays take to be as right.
+#[derive(Parser)]
+struct Arguments {
+    /// Folder with meshes, scans and environments; cases without their data are left out.
+    #[arg(long, default_value = "../shared/data")]
+    data: PathBuf,
+    /// Folder with embers.glb.
+    #[arg(long, default_value = "../shared/reference")]
+    reference: PathBuf,
+    /// Surfels per scene; a tenth of it where light bounces.
+    #[arg(long, default_value_t = pbgi::DEFAULT_SURFELS)]
+    surfels: u64,
+    /// Columns of the picture whose first hits are the receivers; 9 rows to 16 columns.
+    #[arg(long, default_value_t = 32)]
+    width: u32,
+    /// Paths are doubled until the noise of the truth is at most this rRMSE.
+    #[arg(long, default_value_t = 0.01)]
+    noise: f64,
+    /// Most paths per receiver of the truth.
+    #[arg(long, default_value_t = 16384)]
+    paths: u32,
+    /// Largest solid angle of a node taken as one, sr; 0 takes every surfel.
+    #[arg(long, default_value_t = Setting::default().solid_angle_sr)]
+    solid_angle: f32,
+    /// Texels along a face of the raster.
+    #[arg(long, default_value_t = Setting::default().raster_edge)]
+    raster: usize,
+    /// Only those settings: no curves, and no times of rays.
+    #[arg(long)]
+    brief: bool,
+    /// Print so many receivers with the largest errors.
+    #[arg(long, default_value_t = 0)]
+    worst: usize,
+    /// Folder to draw pictures into: truth, engine, and their difference four times as bright, side by side.
+    #[arg(long)]
+    pictures: Option<PathBuf>,
+    /// Folder of the documentation, whose tables and captions are written anew; its folder images gets the pictures and the plot.
+    #[arg(long, conflicts_with_all = ["pictures", "brief"])]
+    docs: Option<PathBuf>,
+    /// Where to write the curves and errors as JSON.
+    #[arg(long)]
+    json: Option<PathBuf>,
+    /// Where to draw the curves.
+    #[arg(long)]
+    svg: Option<PathBuf>,
+    /// cornell, cornell3, sponza-overcast, sponza-sunny, apartment, bunny, street, foliage, fire30, fire10, scan.
+    #[arg(default_values_t = CASES.map(str::to_owned))]
+    cases: Vec<String>,
+}
+
+/// Core-seconds the engine took for a picture, if it was drawn.
+type Drawn = Option<f64>;
+
+/// A case ready to be measured.
+struct Bench<'a> {
+    case: &'a Case,
+    caster: &'a Caster<'a>,
+    surfels: u64,
+    folder: &'a Path,
+}
+
+impl Bench<'_> {
+    fn bake(&self, density: f64) -> Result<Octree> {
+        let surfels = (self.case.surfels(self.surfels) as f64 * density) as u64;
+        bake_case(self.case, surfels, &self.folder.join("scene.pbgi"))
+    }
+
+    /// Results and times of every setting beside the default. Light that bounces is baked at one density.
+    fn ladder(
+        &self,
+        octree: &Octree,
+        places: &[(usize, Receiver)],
+    ) -> Result<Vec<(String, Vec<Light>, f64)>> {
+        let (mut runs, mut other): (Vec<_>, Option<(f64, Octree)>) = (Vec::new(), None);
+        for setting in &LADDER {
+            let plain = setting.density == 1.0;
+            if !plain && self.case.bounces > 0 {
+                continue;
+            }
+            if !plain && other.as_ref().is_none_or(|(density, _)| *density != setting.density) {
+                other = Some((setting.density, self.bake(setting.density)?));
+            }
+            let of_density = other.as_ref().filter(|_| !plain).map_or(octree, |(_, o)| o);
+            let (found, us) = gather_all(self.case, of_density, setting, places)?;
+            runs.push((setting.label(self.case), found, us));
+        }
+        Ok(runs)
+    }
+
+    fn run(&self, arguments: &Arguments, pictures: Option<&Path>) -> Result<(Vec<Row>, Drawn)> {
+        let Self { case, caster, .. } = *self;
+        let places = case.receivers(caster, &case.view(arguments.width));
+        let octree = self.bake(1.0)?;
+        let setting = Setting {
+            solid_angle_sr: arguments.solid_angle,
+            raster_edge: arguments.raster,
+            ..Setting::default()
+        };
+        let (found, us) = gather_all(case, &octree, &setting, &places)?;
+        let truth = Truth::cast(case, caster, &places, arguments.noise, arguments.paths)?;
+        let drawn = pictures
+            .filter(|_| PICTURED.contains(&case.name.as_str()))
+            .map(|folder| pictures::draw(case, caster, &octree, &setting, folder))
+            .transpose()?;
+        let mut runs = vec![(setting.label(case), found, us)];
+        let mut rays = None;
+        if !arguments.brief {
+            runs.extend(self.ladder(&octree, &places)?);
+            rays = Some(RayCurve::cast(case, caster, &places, &truth));
+        }
+        let mut rows = Vec::new();
+        for &quantity in case.quantities() {
+            let row = Row::new(case, quantity, &truth, &runs, rays.as_ref())?;
+            println!("{row}");
+            print_worst(&row, &places, &truth, &runs[0].1, arguments.worst);
+            rows.push(row);
+        }
+        Ok((rows, drawn))
+    }
+}
+
+/// The receivers that add most to the rRMSE.
+fn print_worst(
+    row: &Row,
+    places: &[(usize, Receiver)],
+    truth: &Truth,
+    found: &[Light],
+    count: usize,
+) {
+    let (expected, found) = (row.of.values(&truth.light), row.of.values(found));
+    let mean = expected.iter().sum::<f32>() / expected.len().max(1) as f32;
+    let green = |i: usize| (expected[3 * i + 1] / mean, found[3 * i + 1] / mean);
+    let badness = |i: usize| {
+        let (r, x) = green(i);
+        (x - r).powi(2) / (r * r + 0.01)
+    };
+    let mut order: Vec<usize> = (0..places.len()).collect();
+    order.sort_by(|a, b| badness(*b).total_cmp(&badness(*a)));
+    let all: f32 = order.iter().map(|i| badness(*i)).sum();
+    for &i in order.iter().take(count) {
+        let ((pixel, receiver), (r, x)) = (places[i], green(i));
+        let share = 100.0 * badness(i) / all;
+        let (p, n) = (receiver.position, receiver.normal);
+        println!(
+            "  pixel {pixel:6} at {p:.4} facing {n:.3}: {x:.3} of {r:.3}, {share:.1} % of the error"
+        );
+    }
+}
+
+/// Measures the cases and draws them, if told to; with the captions of the pictures.
+fn run_all(
+    arguments: &Arguments,
+    pictures: Option<&Path>,
+    temporary: &Path,
+) -> Result<(Vec<Row>, Vec<String>)> {
+    let folders = Folders { data: arguments.data.clone(), reference: arguments.reference.clone() };
+    let (mut rows, mut captions) = (Vec::new(), Vec::new());
+    for name in &arguments.cases {
+        if name == "scan" {
+            captions.extend(scan::run(&arguments.data, temporary, pictures)?);
+            continue;
+        }
+        let Some(case) = make_case(name, &folders).with_context(|| format!("case {name}"))? else {
+            println!("{name}: skipped, no data");
+            continue;
+        };
+        let sky = case.sky.clone().map(SkyImage::new);
+        let caster = Caster::new(&case.scene, sky.as_ref());
+        let surfels = arguments.surfels;
+        let bench = Bench { case: &case, caster: &caster, surfels, folder: temporary };
+        let (found, drawn) =
+            bench.run(arguments, pictures).with_context(|| format!("case {name}"))?;
+        if let (Some(seconds), Some(row)) = (drawn, found.last()) {
+            captions.push(pictures::caption(&case, row, case.surfels(surfels), seconds));
+        }
+        rows.extend(found);
+    }
+    Ok((rows, captions))
+}
+
+fn main() -> Result<()> {
+    let arguments = Arguments::parse();
+    let temporary = tempfile::tempdir()?;
+    println!("{}", report::HEADER);
+    let images = arguments.docs.as_ref().map(|docs| docs.join("images"));
+    let pictures = arguments.pictures.as_ref().or(images.as_ref());
+    if let Some(pictures) = pictures {
+        std::fs::create_dir_all(pictures).with_context(|| pictures.display().to_string())?;
+    }
+    let (rows, captions) = run_all(&arguments, pictures.map(PathBuf::as_path), temporary.path())?;
+    if let Some(docs) = &arguments.docs {
+        std::fs::write(docs.join("images/truth.svg"), report::plot(&rows))?;
+        page::replace(&docs.join("pictures.md"), "pictures", &captions.join("\n\n"))?;
+        page::replace(&docs.join("measuring.md"), "errors", &report::error_table(&rows))?;
+        page::replace(&docs.join("measuring.md"), "times", &report::time_table(&rows))?;
+    }
+    if let Some(path) = &arguments.json {
+        std::fs::write(path, serde_json::to_string_pretty(&rows)?)?;
+    }
+    if let Some(path) = &arguments.svg {
+        std::fs::write(path, report::plot(&rows))?;
+    }
+    Ok(())
+}
