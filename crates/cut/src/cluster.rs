@@ -364,6 +364,9 @@ mod tests {
         // The floor's middle is 3.5 away along x and 2 below.
         let d2 = 3.5f32 * 3.5 + 2.0 * 2.0;
         assert!((floor.cosine - 2.0 / d2.sqrt()).abs() < 1e-3, "{floor:?}");
-        assert!((floor.solid_angle - floor.cosine / d2).abs() < 1e-4, "{floor:?}");
+        // A square of edge 1, nearer than a point would be.
+        let factor = patch_solid_angle_factor(d2, 2.0 / 12.0, 3.5 * 3.5 / 12.0);
+        assert!(factor > 1.01 && factor < 1.1);
+        assert!((floor.solid_angle - factor * floor.cosine / d2).abs() < 1e-4, "{floor:?}");
     }
 }

@@ -423,8 +423,36 @@ struct Leaf {
     level: usize,
 }
 
-/// Share of its radius by which a surfel that faces the receiver's side must rise above the tangent plane: more than codes are off by.
-const FACING_BIAS: f32 = 0.05;
+/// Share of its radius by which a surfel that cannot be the receiver's own surface must rise above the tangent plane: more than codes are off by.
+pub const OTHER_BIAS: f32 = 0.05;
+
+/// Cosine of the angle between normals up to which surfaces count as parallel: codes of normals are off by a tenth of a degree.
+const PARALLEL_COSINE: f32 = 0.9998;
+
+/// Cosine of the angle between normals below which a rectangle is no piece of the receiver's own curved surface.
+const OWN_COSINE: f32 = 0.7;
+
+/// How far a surfel reaches over its center along a unit vector whose cosine to its normal is `tilt`.
+#[inline(always)]
+fn reach_along(surfel: &LeafSurfel, direction: Vec3, tilt: f32) -> f32 {
+    if surfel.isotropic {
+        return surfel.radius;
+    }
+    if surfel.tile.is_known() {
+        let [u, v] = surfel.tile.edges(surfel.normal);
+        let [a, b] = surfel.half_edges();
+        return a * u.dot(direction).abs() + b * v.dot(direction).abs();
+    }
+    // Of a disk: r sin(angle between the normals).
+    surfel.radius * (1.0 - tilt * tilt).max(0.0).sqrt()
+}
+
+/// Whether a surfel is a rectangle parallel to a receiver with this normal, and faces the same way.
+#[must_use]
+#[inline(always)]
+pub fn is_parallel_tile(surfel: &LeafSurfel, normal: Vec3) -> bool {
+    surfel.tile.is_known() && surfel.normal.dot(normal) > PARALLEL_COSINE
+}
 
 /// Cosine of the angle by which neighboring pieces of one sheet may be folded.
 const FOLD_COSINE: f32 = 0.5;
@@ -433,15 +461,19 @@ const FOLD_COSINE: f32 = 0.5;
 /// rise above the tangent plane, or is the other side of a convex edge.
 #[inline(always)]
 fn is_own_surface(surfel: &LeafSurfel, receiver: &CutReceiver) -> bool {
-    // Highest point of the disk above the tangent plane: r sin(angle between the normals).
     let tilt = surfel.normal.dot(receiver.normal);
-    let sine = if surfel.isotropic { 1.0 } else { (1.0 - tilt * tilt).max(0.0).sqrt() };
     let height = surfel.center.dot(receiver.normal);
-    // A surface does not face its own front: what does hangs over the receiver, however low.
+    // A surface does not face its own front: what does hangs over the receiver, however low. Nor does a flat one stand over itself, or
+    // meet itself at a right angle: such rectangles are another one, like the next slat, or the wall on a floor.
     let is_facing = !surfel.isotropic && tilt < 0.0;
-    let least =
-        if is_facing { FACING_BIAS.min(receiver.surfel_bias) } else { receiver.surfel_bias };
-    if height + surfel.radius * sine <= receiver.bias + least * surfel.radius {
+    let is_other = surfel.tile.is_known() && !(OWN_COSINE..PARALLEL_COSINE).contains(&tilt);
+    let share = if is_facing || is_other {
+        OTHER_BIAS.min(receiver.surfel_bias)
+    } else {
+        receiver.surfel_bias
+    };
+    let least = receiver.bias + share * surfel.radius;
+    if height <= least && height + reach_along(surfel, receiver.normal, tilt) <= least {
         return true;
     }
     // Disks reach over the edges of their surface. Where one of a solid thing is seen from behind and has its middle below the tangent

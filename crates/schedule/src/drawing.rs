@@ -1,6 +1,6 @@
 //! Surfels and pieces of clusters as shapes that rasters draw.
 
-use pbgi_cut::{Cluster, Piece, SurfelSeen};
+use pbgi_cut::{Cluster, OTHER_BIAS, Piece, SurfelSeen, is_parallel_tile};
 use pbgi_format::LeafSurfel;
 use pbgi_math::{Vec3, patch_solid_angle_factor};
 use pbgi_raster::{Disk, Ink, Section, Tile, Veil};
@@ -23,7 +23,8 @@ const OTHER_SURFACE_HEIGHT: f32 = 0.25;
 pub(crate) fn least_distance(surfel: &LeafSurfel, normal: Vec3) -> f32 {
     let is_alike = !surfel.isotropic && surfel.normal.dot(normal) > OWN_SURFACE_COSINE;
     let (height, depth) = (normal.dot(surfel.center), surfel.normal.dot(surfel.center));
-    let is_other = height.min(depth) > OTHER_SURFACE_HEIGHT * surfel.radius;
+    let least = if is_parallel_tile(surfel, normal) { OTHER_BIAS } else { OTHER_SURFACE_HEIGHT };
+    let is_other = height.min(depth) > least * surfel.radius;
     if is_alike && !is_other { OWN_SURFACE_RADII * surfel.radius } else { 0.0 }
 }
 

@@ -1,6 +1,7 @@
 //! The lattice that cuts a triangle, or a parallelogram of two, into micropolygons.
 
 use pbgi_math::DVec3;
+use std::f64::consts::PI;
 
 /// Most steps along one edge; keeps every product of two step counts below 2⁶².
 const STEPS_MAX: u64 = 1 << 31;
@@ -17,6 +18,13 @@ const ASPECT_MAX: f64 = 1.5;
 
 /// ... but not so many that they are shorter than this share of the spacing.
 const SPACING_SHARE_MIN: f64 = 0.25;
+
+/// Covering radius over the radius of the disk of the same area from which on a clipped cell is a sliver and drawn as a rectangle: half a
+/// square, at 1.9, is not.
+const SLIVER_RATIO: f64 = 2.0;
+
+/// Length of a sliver's rectangle over the sliver's: such a rectangle has about the moment of inertia of a triangle.
+const SLIVER_LENGTH: f64 = 0.8;
 
 /// A corner of a piece of a triangle.
 #[derive(Clone, Copy, Debug, Default)]
@@ -73,6 +81,8 @@ pub(super) struct Cell {
     row: u64,
     /// A whole parallelogram of the lattice.
     pub whole: bool,
+    /// The rectangle a clipped cell is drawn as, if it is a sliver.
+    pub sliver: Option<Rectangle>,
 }
 
 /// A triangle as one or two lattices.
@@ -237,6 +247,7 @@ impl Lattice {
             column,
             row,
             whole: true,
+            sliver: None,
         }
     }
 
@@ -271,7 +282,27 @@ impl Lattice {
             column,
             row,
             whole: false,
+            sliver: self.sliver(polygon, 0.5 * double_area * self.cell_area, radius_squared),
         }
+    }
+
+    /// The rectangle for a clipped cell, of this area and squared covering radius, if a disk is none for it.
+    fn sliver(&self, polygon: &[[f64; 2]], area: f64, radius_squared: f64) -> Option<Rectangle> {
+        if !(radius_squared * PI > SLIVER_RATIO * SLIVER_RATIO * area) {
+            return None;
+        }
+        let at = |[x, y]: [f64; 2]| self.u.position * x + self.v.position * y;
+        let mut longest = DVec3::ZERO;
+        for (i, a) in polygon.iter().enumerate() {
+            for b in &polygon[i + 1..] {
+                let between = at(*b) - at(*a);
+                if between.length_squared() > longest.length_squared() {
+                    longest = between;
+                }
+            }
+        }
+        let aspect = longest.length_squared() * SLIVER_LENGTH * SLIVER_LENGTH / area;
+        aspect.is_finite().then_some(Rectangle { direction: longest, aspect: aspect.max(1.0) })
     }
 
     /// The part of cell (column, row) in the triangle, as vertices in steps from the cell's first

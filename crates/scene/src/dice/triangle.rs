@@ -1,6 +1,6 @@
 //! One triangle of an instance, or two as one parallelogram, from world positions to surfels.
 
-use super::lattice::{Cell, Lattices, SKEW_COSINE_MAX};
+use super::lattice::{Cell, Lattices, Rectangle, SKEW_COSINE_MAX};
 use super::surface::{Shade, Surface, TriangleSurface};
 use super::{RUN_TRIANGLES, TwoSided};
 use crate::{Instance, Mesh, Scene};
@@ -237,7 +237,13 @@ impl DicedPatch<'_> {
                 Some((orientation, ratio)) => (orientation, ratio * area.sqrt()),
                 None => (side.orientation, radius),
             };
-            out.push(Surfel { position, radius, area, orientation, ..*side });
+            let surfel = Surfel { position, radius, area, orientation, ..*side };
+            out.push(match &cell.sliver {
+                Some(Rectangle { direction, aspect }) => {
+                    surfel.with_tile(direction.as_vec3(), *aspect as f32)
+                }
+                None => surfel,
+            });
         }
     }
 
