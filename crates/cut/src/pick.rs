@@ -476,13 +476,22 @@ fn is_own_surface(surfel: &LeafSurfel, receiver: &CutReceiver) -> bool {
     if height <= least && height + reach_along(surfel, receiver.normal, tilt) <= least {
         return true;
     }
-    // Disks reach over the edges of their surface. Where one of a solid thing is seen from behind and has its middle below the tangent
-    // plane, the receiver's own surface lies before it.
+    // Disks reach over the edges of their surface, and so do the rectangles of slivers. Where one of a solid thing is seen from behind and has
+    // its middle below the tangent plane, the receiver's own surface lies before it.
     // Where one of a sheet's other side is seen from its front, a fold of the receiver's own sheet does.
-    let is_disk = !surfel.isotropic && !surfel.tile.is_known();
     let is_fold = surfel.front_only && tilt < -FOLD_COSINE;
     let is_behind = !surfel.front_only && surfel.normal.dot(surfel.center) > 0.0;
-    is_disk && height <= 0.0 && (is_fold || is_behind)
+    height <= 0.0 && !surfel.isotropic && (is_fold || is_behind) && !is_exact(surfel)
+}
+
+/// Long over short edge beyond which a rectangle stands for a sliver of another shape.
+const EXACT_ASPECT: f32 = 2.5;
+
+/// Whether a surfel is drawn as it is: a rectangle that is a whole micropolygon.
+#[inline(always)]
+fn is_exact(surfel: &LeafSurfel) -> bool {
+    let [long, short] = surfel.half_edges();
+    surfel.tile.is_known() && long <= EXACT_ASPECT * short
 }
 
 #[inline(always)]
