@@ -237,6 +237,8 @@ impl<'a> Gatherer<'a> {
             count,
             raster: &mut self.lobe.raster,
             lobe,
+            pattern: &self.lobe.pattern,
+            above: &self.lobe.directions.above,
             axis,
             normal: receiver.normal,
             lanes: PhantomData,
