@@ -447,7 +447,7 @@ fn main() -> Result<()> {
         let exhaustive = GatherSettings { solid_angle_sr: 0.0, ..case.settings() };
         let light = case.light(0.0, true, exhaustive.raster_edge)?;
         let (truth, slow, cut) = case.gather(&case.receivers, &exhaustive, light.as_ref())?;
-        let finer = GatherSettings { raster_edge: 16, lobe_level: 3, ..exhaustive };
+        let finer = GatherSettings { raster_edge: 16, lobe_level: 4, ..exhaustive };
         let some: Vec<Receiver> = case.receivers.iter().copied().step_by(FINER_EVERY).collect();
         let coarser: Vec<Shading> = truth.iter().copied().step_by(FINER_EVERY).collect();
         let light = case.light(0.0, true, finer.raster_edge)?;

@@ -60,7 +60,7 @@ impl Default for GatherSettings {
             solid_angle_sr: 0.08,
             importance: ImportanceTerms::ALL,
             raster_edge: 8,
-            lobe_level: 2,
+            lobe_level: 3,
             bias: 0.4,
             parts: GatherParts::All,
             up: Vec3::Y,
