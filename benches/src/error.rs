@@ -124,7 +124,7 @@ const RASTER_EDGE_MAX: usize = 64;
 
 /// Solid angles, from coarse to fine.
 fn widths() -> impl Iterator<Item = f32> {
-    (0..26).map(|step| 1.0 * 0.5f32.powf(0.7 * step as f32))
+    (0..30).map(|step| 6.0 * 0.5f32.powf(0.7 * step as f32))
 }
 
 /// Least time that is measured.
@@ -134,7 +134,7 @@ const SECONDS_MIN: f64 = 0.15;
 const ERROR_MIN: f64 = 0.004;
 
 /// A curve ends where it takes this share of the exhaustive gather's time.
-const SLOW_SHARE: f64 = 0.25;
+const SLOW_SHARE: f64 = 0.8;
 
 /// Receivers for which a finer raster is tried: every so many.
 const FINER_EVERY: usize = 4;
