@@ -218,12 +218,11 @@ impl GgxLobe {
         self.fresnel(cosine).map(|f| f * white)
     }
 
-    /// Solid angle, in steradians, that one of `count` equal shares of the lobe has in the direction `from`, of any length but 0.
+    /// Solid angle, in steradians, that one of `count` equal shares of the lobe has in the unit direction `from`.
     #[must_use]
     #[inline(always)]
     pub fn share_solid_angle(&self, from: Vec3, count: f32) -> f32 {
-        let inverse = 1.0 / from.length();
-        let h = self.frame.to_local(from) * inverse + self.eye;
+        let h = self.frame.to_local(from) + self.eye;
         4.0 * self.eye.z / (self.seen * count) * self.inverse_density(h)
     }
 
