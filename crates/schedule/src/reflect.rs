@@ -167,10 +167,11 @@ impl<L: Lanes> LobeVisitor<'_, L> {
             return;
         }
         let is_met = self.raster.draw::<L, S>(shape, ink);
-        if !is_met && ink.reflected != [0.0; 3] {
-            if let Some(direction) = self.direction(drawn) {
-                self.raster.shine(ink, *inverse_distance, direction);
-            }
+        if is_met || ink.reflected == [0.0; 3] {
+            return;
+        }
+        if let Some(direction) = self.direction(drawn) {
+            self.raster.shine(ink, *inverse_distance, direction);
         }
     }
 
