@@ -206,39 +206,36 @@ impl LobeRaster {
         }
     }
 
-    /// What shows through in a direction of what lies at this inverse distance.
+    /// What shows through in a direction of the plane of this normal over its distance.
     #[inline(always)]
-    fn shown(&self, direction: usize, inverse_distance: f32, tolerance: f32) -> f32 {
+    fn shown(&self, direction: usize, inverse: Vec3, tolerance: f32) -> f32 {
         let (group, lane) = (direction / SAMPLES, direction % SAMPLES);
+        let d = &self.directions[group];
+        // Where the plane is in that direction, not where the piece is: of a slanting surface, that may be far behind.
+        let w = inverse.dot(Vec3::new(d[0][lane], d[1][lane], d[2][lane]));
         let is_covered = self.covered[group] >> lane & 1 != 0;
-        if is_covered && inverse_distance * (1.0 + tolerance) <= self.depths[group][lane] {
+        if is_covered && w * (1.0 + tolerance) <= self.depths[group][lane] {
             0.0
         } else {
             self.transmittance[group][lane]
         }
     }
 
-    /// What shines whole at this inverse distance does so as far as it shows in this direction.
+    /// What shines whole, of the plane of this normal over its distance, does so as far as it shows in this direction.
     #[inline(always)]
-    pub fn shine(&mut self, ink: &LobeInk, inverse_distance: f32, direction: usize) {
-        let share = self.shown(direction, inverse_distance, ink.tolerance);
+    pub fn shine(&mut self, ink: &LobeInk, inverse: Vec3, direction: usize) {
+        let share = self.shown(direction, inverse, ink.tolerance);
         self.reflect(ink.reflected, share);
     }
 
-    /// A particle smaller than what this direction stands for, at this inverse distance, shines as [`Self::shine`] says, and hides the
+    /// A particle smaller than what this direction stands for, in a plane as of [`Self::shine`], shines as [`Self::shine`] says, and hides the
     /// share of what is behind that its solid angle has of the direction's.
     ///
     /// Particles are as if each were anywhere in what the direction stands for: of what is behind many, the product of what each
     /// lets through is seen.
     #[inline(always)]
-    pub fn scatter(
-        &mut self,
-        ink: &LobeInk,
-        solid_angle: f32,
-        inverse_distance: f32,
-        direction: usize,
-    ) {
-        self.shine(ink, inverse_distance, direction);
+    pub fn scatter(&mut self, ink: &LobeInk, solid_angle: f32, inverse: Vec3, direction: usize) {
+        self.shine(ink, inverse, direction);
         let (group, lane) = (direction / SAMPLES, direction % SAMPLES);
         let bit = 1 << lane;
         if self.covered[group] & bit != 0 {
@@ -248,7 +245,7 @@ impl LobeRaster {
         let left = self.transmittance[group][lane] * (1.0 - share.min(1.0));
         self.transmittance[group][lane] = left;
         if left <= TRANSMITTANCE_MIN {
-            self.depths[group][lane] = inverse_distance;
+            self.depths[group][lane] = inverse.length();
             self.covered[group] |= bit;
             if self.covered[group] == u16::MAX {
                 self.open[group / SAMPLES] &= !(1 << (group % SAMPLES));
@@ -375,20 +372,23 @@ mod tests {
         // Between directions, before and then behind a screen that covers half: the direction that is named tells.
         assert!(!draw(&mut raster, disk(-0.05, 1.0, 0.001), &lamp));
         assert_eq!((raster.reflected(), open(&raster)), ([0.0; 3], 64.0));
-        raster.shine(&lamp, 1.0, 9);
+        raster.shine(&lamp, Vec3::Z, 9);
         assert_eq!(raster.reflected(), [0.5; 3]);
         let screen = LobeInk { veil: Veil::OPAQUE, ..LobeInk::default() };
         draw(&mut raster, disk(-5.0, 1.0, 5.0), &screen);
-        raster.shine(&lamp, 0.5, 9);
+        raster.shine(&lamp, Vec3::Z * 0.5, 9);
         assert_eq!(raster.reflected(), [0.5; 3]);
-        raster.shine(&lamp, 0.5, 14);
+        raster.shine(&lamp, Vec3::Z * 0.5, 14);
         assert_eq!(raster.reflected(), [1.0; 3]);
         // Neighbors of what hides are seen.
-        raster.shine(&LobeInk { tolerance: 0.1, ..lamp }, 0.95, 9);
+        raster.shine(&LobeInk { tolerance: 0.1, ..lamp }, Vec3::Z * 0.95, 9);
         assert_eq!(raster.reflected(), [1.5; 3]);
+        // So is what slants, where its plane comes before the screen in that direction.
+        raster.shine(&lamp, Vec3::new(-8.0, 0.0, 0.5), 9);
+        assert_eq!(raster.reflected(), [2.0; 3]);
         // One that meets four directions of which two are hidden.
         assert!(draw(&mut raster, disk(0.0, 2.0, 0.08), &lamp));
-        assert_eq!(raster.reflected(), [1.75; 3]);
+        assert_eq!(raster.reflected(), [2.25; 3]);
     }
 
     #[test]
@@ -424,7 +424,7 @@ mod tests {
             let solid_angle = thickness * SOLID_ANGLE / count as f32;
             let ink = LobeInk { reflected: [solid_angle; 3], ..LobeInk::default() };
             for _ in 0..count {
-                raster.scatter(&ink, solid_angle, 1.0, 37);
+                raster.scatter(&ink, solid_angle, Vec3::Z, 37);
             }
             let through = (-thickness).exp();
             let shown = raster.reflected()[0] / SOLID_ANGLE;
@@ -434,12 +434,12 @@ mod tests {
             // A lamp behind them, and one before.
             let lamp = LobeInk { reflected: [1.0; 3], ..LobeInk::default() };
             let before = raster.reflected()[0];
-            raster.shine(&lamp, 0.5, 37);
+            raster.shine(&lamp, Vec3::Z * 0.5, 37);
             assert!((raster.reflected()[0] - before - through).abs() < 1e-3);
         }
         // Whoever fills all that the direction stands for closes it.
         let mut raster = raster();
-        raster.scatter(&LobeInk::default(), SOLID_ANGLE, 1.0, 37);
+        raster.scatter(&LobeInk::default(), SOLID_ANGLE, Vec3::Z, 37);
         assert_eq!((open(&raster), raster.transmittance(2)[5]), (63.0, 0.0));
     }
 

@@ -119,7 +119,6 @@ struct Drawn {
     ink: LobeInk,
     solid_angle: f32,
     from: Vec3,
-    inverse_distance: f32,
     is_particle: bool,
 }
 
@@ -129,10 +128,9 @@ impl<L: Lanes> LobeVisitor<'_, L> {
     #[inline(always)]
     fn ink(&self, ink: &Ink, place: &Place) -> Drawn {
         let Ink { veil, tolerance, radiance, solid_angle } = *ink;
-        let inverse_distance = 1.0 / place.toward.length();
-        let from = place.toward * inverse_distance;
+        let from = place.toward * (1.0 / place.toward.length());
         let ink = LobeInk { veil, tolerance, radiance, reflected: [0.0; 3] };
-        let mut drawn = Drawn { ink, solid_angle, from, inverse_distance, is_particle: false };
+        let mut drawn = Drawn { ink, solid_angle, from, is_particle: false };
         if radiance == [0.0; 3] && !place.is_round {
             return drawn;
         }
@@ -159,10 +157,10 @@ impl<L: Lanes> LobeVisitor<'_, L> {
 
     #[inline(always)]
     fn draw<S: Shape>(&mut self, shape: &S, drawn: &Drawn) {
-        let Drawn { ink, solid_angle, inverse_distance, .. } = drawn;
+        let Drawn { ink, solid_angle, .. } = drawn;
         if drawn.is_particle {
             if let Some(direction) = self.direction(drawn) {
-                self.raster.scatter(ink, *solid_angle, *inverse_distance, direction);
+                self.raster.scatter(ink, *solid_angle, shape.inverse(), direction);
             }
             return;
         }
@@ -171,7 +169,7 @@ impl<L: Lanes> LobeVisitor<'_, L> {
             return;
         }
         if let Some(direction) = self.direction(drawn) {
-            self.raster.shine(ink, *inverse_distance, direction);
+            self.raster.shine(ink, shape.inverse(), direction);
         }
     }
 
