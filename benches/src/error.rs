@@ -124,7 +124,7 @@ const RASTER_EDGE_MAX: usize = 64;
 
 /// Solid angles, from coarse to fine.
 fn widths() -> impl Iterator<Item = f32> {
-    (0..26).map(|step| 1.0 * 0.5f32.powf(0.7 * step as f32))
+    (0..30).map(|step| 6.0 * 0.5f32.powf(0.7 * step as f32))
 }
 
 /// Least time that is measured.
@@ -134,7 +134,7 @@ const SECONDS_MIN: f64 = 0.15;
 const ERROR_MIN: f64 = 0.004;
 
 /// A curve ends where it takes this share of the exhaustive gather's time.
-const SLOW_SHARE: f64 = 0.25;
+const SLOW_SHARE: f64 = 0.8;
 
 /// Receivers for which a finer raster is tried: every so many.
 const FINER_EVERY: usize = 4;
@@ -447,7 +447,7 @@ fn main() -> Result<()> {
         let exhaustive = GatherSettings { solid_angle_sr: 0.0, ..case.settings() };
         let light = case.light(0.0, true, exhaustive.raster_edge)?;
         let (truth, slow, cut) = case.gather(&case.receivers, &exhaustive, light.as_ref())?;
-        let finer = GatherSettings { raster_edge: 16, lobe_level: 3, ..exhaustive };
+        let finer = GatherSettings { raster_edge: 16, lobe_level: 4, ..exhaustive };
         let some: Vec<Receiver> = case.receivers.iter().copied().step_by(FINER_EVERY).collect();
         let coarser: Vec<Shading> = truth.iter().copied().step_by(FINER_EVERY).collect();
         let light = case.light(0.0, true, finer.raster_edge)?;

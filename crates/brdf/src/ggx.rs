@@ -17,6 +17,8 @@ pub struct GgxLobe {
     /// Direction of the eye in that frame; its second component is 0.
     eye: Vec3,
     alpha: f32,
+    /// Direction of the eye where the microfacets are those of a hemisphere.
+    stretched: Vec3,
     /// Smith's masking toward the eye.
     seen: f32,
     normal_reflectance: [f32; 3],
@@ -40,6 +42,9 @@ pub struct LobeDirections {
 pub struct LobePattern {
     /// Cosine and sine of the azimuth, and the height, by groups.
     places: Vec<[[f32; SAMPLES]; 3]>,
+    /// The direction in each cell of the square, rows of heights; there is one in each.
+    cells: Vec<u16>,
+    edge: usize,
 }
 
 impl LobePattern {
@@ -67,7 +72,28 @@ impl LobePattern {
         let group = |points: &[[f32; 2]]| {
             std::array::from_fn(|axis| std::array::from_fn(|i| place(points[i])[axis]))
         };
-        Self { places: points.chunks_exact(SAMPLES).map(group).collect() }
+        let edge = (count as f32).sqrt().round() as usize;
+        let mut cells = vec![0; count];
+        for (index, point) in points.iter().enumerate() {
+            let [column, row] = point.map(|x| cell_of(x, edge));
+            cells[row * edge + column] = index as u16;
+        }
+        Self { places: points.chunks_exact(SAMPLES).map(group).collect(), cells, edge }
+    }
+
+    /// The direction whose cell holds this place, as [`GgxLobe::place`] gives it, or where that is below the horizon, the next toward the middle
+    /// of the lobe; none if all are.
+    #[must_use]
+    #[inline(always)]
+    pub fn direction_at(&self, [u, v]: [f32; 2], above: &[u16]) -> Option<usize> {
+        let (column, row) = (cell_of(u, self.edge), cell_of(v, self.edge));
+        for row in (0..=row).rev() {
+            let index = usize::from(self.cells[row * self.edge + column]);
+            if above[index / SAMPLES] >> (index % SAMPLES) & 1 != 0 {
+                return Some(index);
+            }
+        }
+        None
     }
 
     /// Groups of sixteen directions.
@@ -79,6 +105,25 @@ impl LobePattern {
 
 /// Rings of a pattern over the square root of its groups, for groups about as wide as long.
 const RINGS_PER_EDGE: f32 = 0.75;
+
+/// The cell of an edge of so many that holds `x`, 0..=1.
+#[inline(always)]
+fn cell_of(x: f32, edge: usize) -> usize {
+    ((x * edge as f32) as i32 as usize).min(edge - 1)
+}
+
+/// Angle of (x, y) as a share of a full turn, 0..=1, within 10⁻⁴.
+#[inline(always)]
+fn turns(x: f32, y: f32) -> f32 {
+    let (a, b) = (x.abs(), y.abs());
+    let (low, high) = if a < b { (a, b) } else { (b, a) };
+    let t = low / high.max(1e-20);
+    let t2 = t * t;
+    let eighth = t * (0.158_416 - t2 * (0.045_945 - t2 * 0.012_626));
+    let quarter = if a < b { 0.25 - eighth } else { eighth };
+    let half = if x < 0.0 { 0.5 - quarter } else { quarter };
+    if y < 0.0 { 1.0 - half } else { half }
+}
 
 /// Point `index` of the two-dimensional Sobol sequence, 0..1.
 fn sobol(index: u32) -> [f32; 2] {
@@ -130,7 +175,9 @@ impl GgxLobe {
         };
         let sine = (1.0 - height * height).max(0.0).sqrt();
         let eye = if length > 1e-4 { Vec3::new(sine, 0.0, height) } else { Vec3::Z };
-        Some(Self { frame, eye, alpha, seen: smith(eye.z, alpha), normal_reflectance })
+        let stretched = Vec3::new(alpha * eye.x, 0.0, eye.z).normalize_or(Vec3::Z);
+        let seen = smith(eye.z, alpha);
+        Some(Self { frame, eye, alpha, stretched, seen, normal_reflectance })
     }
 
     /// The direction a mirror would show.
@@ -171,13 +218,25 @@ impl GgxLobe {
         self.fresnel(cosine).map(|f| f * white)
     }
 
-    /// Solid angle, in steradians, that one of `count` equal shares of the lobe has in the direction `from`, of any length but 0.
+    /// Solid angle, in steradians, that one of `count` equal shares of the lobe has in the unit direction `from`.
     #[must_use]
     #[inline(always)]
     pub fn share_solid_angle(&self, from: Vec3, count: f32) -> f32 {
-        let inverse = 1.0 / from.length();
-        let h = self.frame.to_local(from) * inverse + self.eye;
+        let h = self.frame.to_local(from) + self.eye;
         4.0 * self.eye.z / (self.seen * count) * self.inverse_density(h)
+    }
+
+    /// Where a [`LobePattern`] holds the unit direction `from`, above the horizon: azimuth and height, 0..=1.
+    #[must_use]
+    #[inline(always)]
+    pub fn place(&self, from: Vec3) -> [f32; 2] {
+        // The inverse of what `directions` does.
+        let h = self.frame.to_local(from) + self.eye;
+        let h = Vec3::new(h.x, h.y, self.alpha * h.z);
+        let cap =
+            h * (2.0 * h.dot(self.stretched) / h.length_squared().max(1e-20)) - self.stretched;
+        let height = 1.0 - (cap.z + self.stretched.z) / (1.0 + self.stretched.z);
+        [turns(cap.x, cap.y), height]
     }
 
     /// 1 over the density of microfacets that face along `h`, of any length but 0.
@@ -204,7 +263,7 @@ impl GgxLobe {
         out.weights.resize(groups, [[0.0; SAMPLES]; 3]);
         out.solid_angles.resize(groups, [0.0; SAMPLES]);
         out.above.resize(groups, 0);
-        let stretched = Vec3::new(self.alpha * self.eye.x, 0.0, self.eye.z).normalize_or(Vec3::Z);
+        let stretched = self.stretched;
         for (group, places) in pattern.places.iter().enumerate() {
             out.above[group] = 0;
             for i in 0..SAMPLES {
@@ -240,7 +299,7 @@ impl GgxLobe {
     /// μ cos t and the larger of μ cos t and (2/π) s sin t, which bounds that share from below in closed form.
     #[must_use]
     pub fn cone(&self, share: f32) -> Cone {
-        let stretched = Vec3::new(self.alpha * self.eye.x, 0.0, self.eye.z).normalize_or(Vec3::Z);
+        let stretched = self.stretched;
         let (mu, s) = (stretched.z, stretched.x.abs());
         let switch = (mu * FRAC_PI_2).atan2(s);
         let inside = |t: f32| {
@@ -367,6 +426,62 @@ mod tests {
                 assert!((own / at - 1.0).abs() < 1e-2, "{own} {at}");
             }
         }
+    }
+
+    /// Every direction lies in its own cell, and each cell has the same share of the lobe.
+    #[test]
+    fn cells_hold_their_directions_and_equal_shares() {
+        let pattern = LobePattern::new(2);
+        for alpha in [0.01, 0.1, 0.3, 1.0] {
+            for cosine in COSINES {
+                let lobe = lobe(alpha, cosine);
+                let mut found = LobeDirections::default();
+                lobe.directions(&pattern, &mut found);
+                let (mut own, mut above) = (0, 0);
+                for (group, d) in found.directions.iter().enumerate() {
+                    for i in (0..SAMPLES).filter(|i| found.above[group] >> i & 1 != 0) {
+                        let from = Vec3::new(d[0][i], d[1][i], d[2][i]);
+                        let index = pattern.direction_at(lobe.place(from), &found.above);
+                        above += 1;
+                        own += usize::from(index == Some(group * SAMPLES + i));
+                    }
+                }
+                assert!(own == above, "{alpha} {cosine}: {own} of {above}");
+                // A finer pattern has sixteen directions in each cell.
+                let mut finer = LobeDirections::default();
+                lobe.directions(&LobePattern::new(4), &mut finer);
+                let mut counts = [0; 256];
+                for (group, d) in finer.directions.iter().enumerate() {
+                    for i in (0..SAMPLES).filter(|i| finer.above[group] >> i & 1 != 0) {
+                        let from = Vec3::new(d[0][i], d[1][i], d[2][i]);
+                        let all = [u16::MAX; 16];
+                        let index = pattern.direction_at(lobe.place(from), &all);
+                        counts[index.unwrap()] += 1;
+                    }
+                }
+                for (index, count) in counts.into_iter().enumerate() {
+                    assert!(count <= 18, "{alpha} {cosine} {index}: {count}");
+                    if finer.above.iter().all(|above| *above == u16::MAX) {
+                        assert!(count >= 14, "{alpha} {cosine} {index}: {count}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn below_the_horizon_the_next_direction_toward_the_middle_stands_in() {
+        let pattern = LobePattern::new(2);
+        let lobe = lobe(1.0, 0.3);
+        let mut found = LobeDirections::default();
+        lobe.directions(&pattern, &mut found);
+        assert!(found.above.iter().any(|above| *above != u16::MAX));
+        for step in 0..64 {
+            let place = [step as f32 / 64.0, 1.0];
+            let index = pattern.direction_at(place, &found.above).unwrap();
+            assert!(found.above[index / SAMPLES] >> (index % SAMPLES) & 1 != 0);
+        }
+        assert_eq!(pattern.direction_at([0.5; 2], &[0; 16]), None);
     }
 
     /// Conservative at every angle, and tight where the lobe is round.

@@ -40,12 +40,14 @@ impl EnvironmentPyramid {
     /// The level is the finest whose texels are as wide as the cone. Since a texel knows the eight around it, also over the edges of
     /// faces, light is never lost between texels or levels: it counts at least as the mean over the texel of that level it lies in.
     #[must_use]
-    #[inline]
+    #[inline(always)]
     pub fn brightness(&self, direction: Vec3, sin2: f32) -> f32 {
         // A texel in the middle of a face spans 2/n; the cone twice its sine.
         let finest = self.levels[0].0.edge() as f32;
         let texels2 = sin2 * finest * finest;
-        let level = if texels2 > 1.0 { (0.5 * texels2.log2()).ceil() as usize } else { 0 };
+        // Half the logarithm, rounded up: the exponent is that of the next smaller power of two.
+        let exponent = (texels2.to_bits() >> (f32::MANTISSA_DIGITS - 1)) as usize;
+        let level = exponent.saturating_sub(f32::MAX_EXP as usize - 2).div_ceil(2);
         let level = level.min(self.levels.len() - 1);
         self.brightest[level][self.levels[level].0.texel_index(direction)]
     }

@@ -36,7 +36,7 @@ impl CubeFace {
 
     /// Face and face coordinates of a direction of any length but 0.
     #[must_use]
-    #[inline]
+    #[inline(always)]
     pub fn from_direction(d: Vec3) -> (Self, f32, f32) {
         let a = d.abs();
         let axis = if a.x >= a.y && a.x >= a.z {
@@ -110,6 +110,7 @@ impl CubeMap {
 
     /// Index of the texel a direction falls into.
     #[must_use]
+    #[inline(always)]
     pub fn texel_index(&self, direction: Vec3) -> usize {
         let (face, u, v) = CubeFace::from_direction(direction);
         let cell = |x: f32| (((x + 1.0) * 0.5 * self.n as f32) as usize).min(self.n - 1);

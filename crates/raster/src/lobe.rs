@@ -8,7 +8,7 @@ use pbgi_math::Vec3;
 /// How a piece covers and shines in a [`LobeRaster`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LobeInk {
-    /// The directions it covers among those it meets.
+    /// What share of each direction it meets it covers.
     pub veil: Veil,
     /// Surfaces nearer by no more than this share of the distance are its own neighbors, and do not hide it.
     pub tolerance: f32,
@@ -24,18 +24,26 @@ impl LobeInk {
     }
 }
 
+/// A direction is covered where less than this shows through.
+const TRANSMITTANCE_MIN: f32 = 0.01;
+
 /// Directions around a receiver, in groups of sixteen neighbors, with what covers each: its depth and its radiance.
 ///
-/// Pieces arrive nearest first, or nearly. A direction is covered by the first piece that meets it. A piece small beside the
-/// gaps between directions shines by its own solid angle, times the share of the directions it meets that nothing hides.
+/// Pieces arrive nearest first, or nearly. A direction is covered by the first opaque piece that meets it; what is translucent, or
+/// a particle smaller than what the direction stands for, lets some of what is behind show through. A piece small beside the
+/// gaps between directions shines by its own solid angle, times what shows through of the directions it meets.
 #[derive(Clone, Debug, Default)]
 pub struct LobeRaster {
     directions: Vec<[[f32; SAMPLES]; 3]>,
     /// Directions that are covered, and those not in use.
     covered: Vec<u16>,
     used: Vec<u16>,
+    /// Solid angle each direction stands for.
+    solid_angles: Vec<[f32; SAMPLES]>,
     /// Inverse distance of what covers each direction.
     depths: Vec<[f32; SAMPLES]>,
+    /// What shows through what is before that.
+    transmittance: Vec<[f32; SAMPLES]>,
     radiance: Vec<[[f32; SAMPLES]; 3]>,
     /// Cones around the groups, sixteen groups at a time: axes, cosines and sines of half-angles.
     cones: Vec<[[f32; SAMPLES]; 5]>,
@@ -48,22 +56,29 @@ pub struct LobeRaster {
 }
 
 impl LobeRaster {
-    /// Empties the raster for these unit directions; bits of `used` tell which of each group count.
+    /// Empties the raster for these unit directions, which stand for these solid angles; bits of `used` tell which of each group count.
     #[inline(always)]
-    pub fn clear(&mut self, directions: &[[[f32; SAMPLES]; 3]], used: &[u16]) {
+    pub fn clear(
+        &mut self,
+        directions: &[[[f32; SAMPLES]; 3]],
+        solid_angles: &[[f32; SAMPLES]],
+        used: &[u16],
+    ) {
         let groups = directions.len();
         self.directions.clear();
         self.directions.extend_from_slice(directions);
+        self.solid_angles.clear();
+        self.solid_angles.extend_from_slice(solid_angles);
         self.used.clear();
         self.used.extend_from_slice(used);
         self.covered.clear();
         self.covered.extend(used.iter().map(|used| !used));
+        self.depths.clear();
         self.depths.resize(groups, [0.0; SAMPLES]);
+        self.transmittance.clear();
+        self.transmittance.resize(groups, [1.0; SAMPLES]);
+        self.radiance.clear();
         self.radiance.resize(groups, [[0.0; SAMPLES]; 3]);
-        for (depths, radiance) in self.depths.iter_mut().zip(&mut self.radiance) {
-            *depths = [0.0; SAMPLES];
-            *radiance = [[0.0; SAMPLES]; 3];
-        }
         self.reflected = [0.0; 3];
         let sets = groups.div_ceil(SAMPLES);
         self.cones.clear();
@@ -119,16 +134,18 @@ impl LobeRaster {
         any != 0
     }
 
-    /// Draws a shape into the groups found by the last [`Self::is_open`]; `toward` leads to its middle.
+    /// Draws a shape into the groups found by the last [`Self::is_open`], and tells whether it meets any direction there. What shines whole and
+    /// meets none does not shine yet: see [`Self::shine`].
     #[inline(always)]
-    pub fn draw<L: Lanes, S: Shape>(&mut self, shape: &S, ink: &LobeInk, toward: Vec3) {
+    pub fn draw<L: Lanes, S: Shape>(&mut self, shape: &S, ink: &LobeInk) -> bool {
         let inverse = shape.inverse();
         let nearer = L::splat(1.0 + ink.tolerance);
-        let (mut met_count, mut visible_count) = (0, 0);
+        let share = L::splat(ink.veil.share_of_rest());
+        let is_whole = ink.is_whole();
+        let (mut met_count, mut visible) = (0, 0.0);
         for set in 0..self.met.len() {
             // A piece that shines by its own solid angle wants to know how much of it is hidden.
-            let mut rest =
-                if ink.is_whole() { self.met[set] } else { self.met[set] & self.open[set] };
+            let mut rest = if is_whole { self.met[set] } else { self.met[set] & self.open[set] };
             while rest != 0 {
                 let lane = rest.trailing_zeros() as usize;
                 rest &= rest - 1;
@@ -146,77 +163,108 @@ impl LobeRaster {
                 if met == 0 {
                     continue;
                 }
+                met_count += met.count_ones();
                 let before = self.covered[group];
-                let depths = &mut self.depths[group];
-                if ink.is_whole() {
-                    let hidden = before & L::bits(w.mul(nearer).le(L::load(depths)));
-                    met_count += met.count_ones();
-                    visible_count += (met & !hidden).count_ones();
+                let through = &mut self.transmittance[group];
+                if is_whole {
+                    let hidden = before & L::bits(w.mul(nearer).le(L::load(&self.depths[group])));
+                    visible += sum_where(through, met & !hidden);
                 }
-                let covered =
-                    if ink.veil.is_opaque() { met } else { met & ink.veil.samples(group) };
-                let new = covered & !before;
+                let new = met & !before;
                 if new == 0 {
                     continue;
                 }
-                w.store_where(new, depths);
+                let (seen, mut covered) = (L::load(through), new);
+                let taken = seen.mul(share);
+                if !ink.veil.is_opaque() {
+                    let left = seen.sub(taken);
+                    left.store_where(new, through);
+                    covered &= L::bits(left.le(L::splat(TRANSMITTANCE_MIN)));
+                }
                 if ink.radiance != [0.0; 3] {
                     for (plane, light) in self.radiance[group].iter_mut().zip(ink.radiance) {
-                        L::splat(light).store_where(new, plane);
+                        L::load(plane).add(taken.mul(L::splat(light))).store_where(new, plane);
                     }
                 }
-                self.covered[group] = before | new;
-                if before | new == u16::MAX {
+                w.store_where(covered, &mut self.depths[group]);
+                self.covered[group] = before | covered;
+                if before | covered == u16::MAX {
                     self.open[set] &= !(1 << lane);
                 }
             }
         }
-        if ink.is_whole() {
-            if met_count == 0 {
-                visible_count = u32::from(self.is_seen(shape.inverse(), ink.tolerance, toward));
-                met_count = 1;
-            }
-            let share = visible_count as f32 / met_count as f32;
-            for (sum, light) in self.reflected.iter_mut().zip(ink.reflected) {
-                *sum += share * light;
-            }
+        if is_whole && met_count > 0 {
+            self.reflect(ink.reflected, visible / met_count as f32);
         }
+        met_count > 0
     }
 
-    /// Whether a piece that met no direction is seen: what covers the direction nearest to its middle, of the groups it may meet, tells.
     #[inline(always)]
-    fn is_seen(&self, inverse: Vec3, tolerance: f32, toward: Vec3) -> bool {
-        let (mut best, mut group_of_best, mut lane_of_best) = (f32::NEG_INFINITY, 0, 0);
-        for set in 0..self.met.len() {
-            let mut rest = self.met[set];
-            while rest != 0 {
-                let group = set * SAMPLES + rest.trailing_zeros() as usize;
-                rest &= rest - 1;
-                if group >= self.directions.len() {
-                    break;
-                }
-                let (d, used) = (&self.directions[group], self.used[group]);
-                for lane in 0..SAMPLES {
-                    let dot = d[0][lane] * toward.x + d[1][lane] * toward.y + d[2][lane] * toward.z;
-                    if dot > best && used >> lane & 1 != 0 {
-                        (best, group_of_best, lane_of_best) = (dot, group, lane);
-                    }
-                }
-            }
+    fn reflect(&mut self, light: [f32; 3], share: f32) {
+        for (sum, light) in self.reflected.iter_mut().zip(light) {
+            *sum += share * light;
         }
-        if best == f32::NEG_INFINITY || self.covered[group_of_best] >> lane_of_best & 1 == 0 {
-            return best != f32::NEG_INFINITY;
-        }
-        let d = &self.directions[group_of_best];
-        let d = Vec3::new(d[0][lane_of_best], d[1][lane_of_best], d[2][lane_of_best]);
-        inverse.dot(d) * (1.0 + tolerance) > self.depths[group_of_best][lane_of_best]
     }
 
-    /// Directions of a group that nothing covers.
+    /// What shows through in a direction of the plane of this normal over its distance.
+    #[inline(always)]
+    fn shown(&self, direction: usize, inverse: Vec3, tolerance: f32) -> f32 {
+        let (group, lane) = (direction / SAMPLES, direction % SAMPLES);
+        let d = &self.directions[group];
+        // Where the plane is in that direction, not where the piece is: of a slanting surface, that may be far behind.
+        let w = inverse.dot(Vec3::new(d[0][lane], d[1][lane], d[2][lane]));
+        let is_covered = self.covered[group] >> lane & 1 != 0;
+        if is_covered && w * (1.0 + tolerance) <= self.depths[group][lane] {
+            0.0
+        } else {
+            self.transmittance[group][lane]
+        }
+    }
+
+    /// What shines whole, of the plane of this normal over its distance, does so as far as it shows in this direction.
+    #[inline(always)]
+    pub fn shine(&mut self, ink: &LobeInk, inverse: Vec3, direction: usize) {
+        let share = self.shown(direction, inverse, ink.tolerance);
+        self.reflect(ink.reflected, share);
+    }
+
+    /// A particle smaller than what this direction stands for, in a plane as of [`Self::shine`], shines as [`Self::shine`] says, and hides the
+    /// share of what is behind that its solid angle has of the direction's.
+    ///
+    /// Particles are as if each were anywhere in what the direction stands for: of what is behind many, the product of what each
+    /// lets through is seen.
+    #[inline(always)]
+    pub fn scatter(&mut self, ink: &LobeInk, solid_angle: f32, inverse: Vec3, direction: usize) {
+        self.shine(ink, inverse, direction);
+        let (group, lane) = (direction / SAMPLES, direction % SAMPLES);
+        let bit = 1 << lane;
+        if self.covered[group] & bit != 0 {
+            return;
+        }
+        let share = solid_angle / self.solid_angles[group][lane];
+        let left = self.transmittance[group][lane] * (1.0 - share.min(1.0));
+        self.transmittance[group][lane] = left;
+        if left <= TRANSMITTANCE_MIN {
+            self.depths[group][lane] = inverse.length();
+            self.covered[group] |= bit;
+            if self.covered[group] == u16::MAX {
+                self.open[group / SAMPLES] &= !(1 << (group % SAMPLES));
+            }
+        }
+    }
+
+    /// What shows through in the directions of a group: 0 where they are covered.
     #[must_use]
     #[inline(always)]
-    pub fn open_directions(&self, group: usize) -> u16 {
-        !self.covered[group]
+    pub fn transmittance(&self, group: usize) -> [f32; SAMPLES] {
+        let covered = self.covered[group];
+        let mut through = self.transmittance[group];
+        for (lane, through) in through.iter_mut().enumerate() {
+            if covered >> lane & 1 != 0 {
+                *through = 0.0;
+            }
+        }
+        through
     }
 
     /// Radiance of what covers the directions of a group, per channel.
@@ -232,6 +280,17 @@ impl LobeRaster {
     pub fn reflected(&self) -> [f32; 3] {
         self.reflected
     }
+}
+
+/// Sum of the lanes whose bits are set, in their order.
+#[inline(always)]
+fn sum_where(lanes: &[f32; SAMPLES], bits: u16) -> f32 {
+    let (mut sum, mut rest) = (0.0, bits);
+    while rest != 0 {
+        sum += lanes[rest.trailing_zeros() as usize];
+        rest &= rest - 1;
+    }
+    sum
 }
 
 /// Axis and cosine of the half-angle of a cone around the directions of a group that are in use.
@@ -252,6 +311,8 @@ mod tests {
     use crate::Disk;
     use crate::lanes::Plain;
 
+    const SOLID_ANGLE: f32 = 0.0025;
+
     /// Four groups of directions in a band around +z.
     fn raster() -> LobeRaster {
         let direction = |i: usize| {
@@ -262,7 +323,11 @@ mod tests {
             std::array::from_fn(|axis| std::array::from_fn(|i| direction(g * SAMPLES + i)[axis]))
         };
         let mut raster = LobeRaster::default();
-        raster.clear(&[group(0), group(1), group(2), group(3)], &[u16::MAX; 4]);
+        raster.clear(
+            &[group(0), group(1), group(2), group(3)],
+            &[[SOLID_ANGLE; SAMPLES]; 4],
+            &[u16::MAX; 4],
+        );
         raster
     }
 
@@ -271,13 +336,17 @@ mod tests {
         Disk { inverse: Vec3::NEG_Z / -z, center, radius, distance_min: 0.0 }
     }
 
-    fn draw(raster: &mut LobeRaster, disk: Disk, ink: &LobeInk) {
+    fn draw(raster: &mut LobeRaster, disk: Disk, ink: &LobeInk) -> bool {
         assert!(raster.is_open::<Plain>(disk.center - disk.radius, disk.center + disk.radius));
-        raster.draw::<Plain, _>(&disk, ink, disk.center);
+        raster.draw::<Plain, _>(&disk, ink)
     }
 
-    fn open(raster: &LobeRaster) -> u32 {
-        (0..4).map(|g| raster.open_directions(g).count_ones()).sum()
+    fn open(raster: &LobeRaster) -> f32 {
+        (0..4).flat_map(|g| raster.transmittance(g)).sum()
+    }
+
+    fn light(raster: &LobeRaster) -> f32 {
+        (0..4).flat_map(|g| raster.radiance(g)[0]).sum()
     }
 
     #[test]
@@ -289,11 +358,10 @@ mod tests {
             ..LobeInk::default()
         };
         draw(&mut raster, disk(-5.0, 1.0, 5.0), &ink(2.0));
-        assert_eq!(open(&raster), 32);
+        assert_eq!(open(&raster), 32.0);
         draw(&mut raster, disk(0.0, 2.0, 9.0), &ink(3.0));
-        assert_eq!(open(&raster), 0);
-        let sum: f32 = (0..4).flat_map(|g| raster.radiance(g)[0]).sum();
-        assert_eq!(sum, 32.0 * 5.0);
+        assert_eq!(open(&raster), 0.0);
+        assert_eq!(light(&raster), 32.0 * 5.0);
         assert!(!raster.is_open::<Plain>(Vec3::new(-1.0, -1.0, 3.0), Vec3::new(1.0, 1.0, 3.1)));
     }
 
@@ -301,16 +369,78 @@ mod tests {
     fn small_pieces_shine_by_their_own_light_unless_hidden() {
         let mut raster = raster();
         let lamp = LobeInk { veil: Veil::OPAQUE, reflected: [0.5; 3], ..LobeInk::default() };
-        // Between directions, before and then behind a screen that covers half.
-        draw(&mut raster, disk(-0.05, 1.0, 0.001), &lamp);
-        assert_eq!((raster.reflected(), open(&raster)), ([0.5; 3], 64));
+        // Between directions, before and then behind a screen that covers half: the direction that is named tells.
+        assert!(!draw(&mut raster, disk(-0.05, 1.0, 0.001), &lamp));
+        assert_eq!((raster.reflected(), open(&raster)), ([0.0; 3], 64.0));
+        raster.shine(&lamp, Vec3::Z, 9);
+        assert_eq!(raster.reflected(), [0.5; 3]);
         let screen = LobeInk { veil: Veil::OPAQUE, ..LobeInk::default() };
         draw(&mut raster, disk(-5.0, 1.0, 5.0), &screen);
-        draw(&mut raster, disk(-0.1, 2.0, 0.001), &lamp);
+        raster.shine(&lamp, Vec3::Z * 0.5, 9);
         assert_eq!(raster.reflected(), [0.5; 3]);
+        raster.shine(&lamp, Vec3::Z * 0.5, 14);
+        assert_eq!(raster.reflected(), [1.0; 3]);
+        // Neighbors of what hides are seen.
+        raster.shine(&LobeInk { tolerance: 0.1, ..lamp }, Vec3::Z * 0.95, 9);
+        assert_eq!(raster.reflected(), [1.5; 3]);
+        // So is what slants, where its plane comes before the screen in that direction.
+        raster.shine(&lamp, Vec3::new(-8.0, 0.0, 0.5), 9);
+        assert_eq!(raster.reflected(), [2.0; 3]);
         // One that meets four directions of which two are hidden.
-        draw(&mut raster, disk(0.0, 2.0, 0.08), &lamp);
-        assert_eq!(raster.reflected(), [0.75; 3]);
+        assert!(draw(&mut raster, disk(0.0, 2.0, 0.08), &lamp));
+        assert_eq!(raster.reflected(), [2.25; 3]);
+    }
+
+    #[test]
+    fn shares_of_a_node_add_up_and_those_of_others_hide_each_other() {
+        let mut raster = raster();
+        let ink = |start, end, radiance| LobeInk {
+            veil: Veil { start, end, seed: 0 },
+            radiance: [radiance; 3],
+            ..LobeInk::default()
+        };
+        // Halves and quarters of one node, then half of what a second one lets through, then a wall.
+        draw(&mut raster, disk(0.0, 1.0, 9.0), &ink(0.0, 0.5, 1.0));
+        assert_eq!((open(&raster), light(&raster)), (32.0, 32.0));
+        draw(&mut raster, disk(0.0, 1.0, 9.0), &ink(0.5, 0.75, 1.0));
+        assert_eq!((open(&raster), light(&raster)), (16.0, 48.0));
+        draw(&mut raster, disk(0.0, 2.0, 9.0), &ink(0.0, 0.5, 10.0));
+        assert_eq!((open(&raster), light(&raster)), (8.0, 128.0));
+        draw(&mut raster, disk(0.0, 3.0, 9.0), &ink(0.0, 1.0, 100.0));
+        assert_eq!((open(&raster), light(&raster)), (0.0, 928.0));
+        // Shares that fill a node leave nothing.
+        let mut raster = self::raster();
+        draw(&mut raster, disk(0.0, 1.0, 9.0), &ink(0.0, 0.5, 1.0));
+        draw(&mut raster, disk(0.0, 1.0, 9.0), &ink(0.5, 1.0, 1.0));
+        assert_eq!((open(&raster), light(&raster)), (0.0, 64.0));
+    }
+
+    /// A cloud of particles of optical thickness τ shows 1 − e^−τ of its light and lets e^−τ through.
+    #[test]
+    fn particles_hide_each_other_as_a_cloud_does() {
+        for thickness in [0.1f32, 1.0, 3.0] {
+            let mut raster = raster();
+            let count = 4000;
+            let solid_angle = thickness * SOLID_ANGLE / count as f32;
+            let ink = LobeInk { reflected: [solid_angle; 3], ..LobeInk::default() };
+            for _ in 0..count {
+                raster.scatter(&ink, solid_angle, Vec3::Z, 37);
+            }
+            let through = (-thickness).exp();
+            let shown = raster.reflected()[0] / SOLID_ANGLE;
+            assert!((shown - (1.0 - through)).abs() < 1e-3, "{thickness}: {shown}");
+            assert!((raster.transmittance(2)[5] - through).abs() < 1e-3);
+            assert!((open(&raster) - 63.0 - through).abs() < 1e-3, "only where they are");
+            // A lamp behind them, and one before.
+            let lamp = LobeInk { reflected: [1.0; 3], ..LobeInk::default() };
+            let before = raster.reflected()[0];
+            raster.shine(&lamp, Vec3::Z * 0.5, 37);
+            assert!((raster.reflected()[0] - before - through).abs() < 1e-3);
+        }
+        // Whoever fills all that the direction stands for closes it.
+        let mut raster = raster();
+        raster.scatter(&LobeInk::default(), SOLID_ANGLE, Vec3::Z, 37);
+        assert_eq!((open(&raster), raster.transmittance(2)[5]), (63.0, 0.0));
     }
 
     #[test]

@@ -119,6 +119,13 @@ impl Veil {
         self.start <= 0.0 && self.end >= 1.0
     }
 
+    /// What of what the shares before its own leave is covered: pieces of a node that meet the same direction cover the sum of their shares.
+    #[inline(always)]
+    pub(crate) fn share_of_rest(&self) -> f32 {
+        let rest = 1.0 - self.start;
+        if self.end < 1.0 { (self.end - self.start) / rest } else { 1.0 }
+    }
+
     /// The samples covered in texel `index`. On average over texels they are exactly the share.
     #[inline(always)]
     pub(crate) fn samples(&self, index: usize) -> u16 {

@@ -26,6 +26,26 @@ pub(crate) fn turn(p: Vec3, face: CubeFace) -> Vec3 {
     Vec3::new(ring[axis] * face.sign(), ring[axis + 1], ring[axis + 2])
 }
 
+// Functions and not closures, which are not always inlined: code that is not is compiled without the instructions of the lanes.
+
+/// Lanes of `d` from `low` to `high` times `w`.
+#[inline(always)]
+fn slab<L: Lanes>(d: L, w: L, low: f32, high: f32) -> L::Mask {
+    L::and(w.mul(L::splat(low)).le(d), d.le(w.mul(L::splat(high))))
+}
+
+/// Products with a vector.
+#[inline(always)]
+fn along<L: Lanes>([x, y, z]: [L; 3], t: Vec3) -> L {
+    x.mul(L::splat(t.x)).add(y.mul(L::splat(t.y))).add(z.mul(L::splat(t.z)))
+}
+
+/// Squared lengths.
+#[inline(always)]
+fn length2<L: Lanes>(x: L, y: L, z: L) -> L {
+    x.mul(x).add(y.mul(y)).add(z.mul(z))
+}
+
 /// The part of a plane inside a box, relative to the receiver.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Section {
@@ -52,12 +72,10 @@ impl Shape for Section {
     /// The point `D/w` is inside where `low·w ≤ D ≤ high·w` along every axis. No negative `w` satisfies both.
     #[inline(always)]
     fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> u16 {
-        let slab = |d: L, low: f32, high: f32| {
-            L::and(w.mul(L::splat(low)).le(d), d.le(w.mul(L::splat(high))))
-        };
         let [x, y, z] = direction;
-        let xy = L::and(slab(x, self.low.x, self.high.x), slab(y, self.low.y, self.high.y));
-        L::bits(L::and(xy, slab(z, self.low.z, self.high.z)))
+        let (low, high) = (self.low, self.high);
+        let xy = L::and(slab(x, w, low.x, high.x), slab(y, w, low.y, high.y));
+        L::bits(L::and(xy, slab(z, w, low.z, high.z)))
     }
 }
 
@@ -89,13 +107,9 @@ impl Shape for Disk {
     #[inline(always)]
     fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> u16 {
         let [x, y, z] = direction;
-        let length2 = |x: L, y: L, z: L| x.mul(x).add(y.mul(y)).add(z.mul(z));
-        let from_center = |d: L, c: f32| d.sub(w.mul(L::splat(c)));
-        let (cx, cy, cz) = (
-            from_center(x, self.center.x),
-            from_center(y, self.center.y),
-            from_center(z, self.center.z),
-        );
+        let cx = x.sub(w.mul(L::splat(self.center.x)));
+        let cy = y.sub(w.mul(L::splat(self.center.y)));
+        let cz = z.sub(w.mul(L::splat(self.center.z)));
         let w2 = w.mul(w);
         let on_disk = length2(cx, cy, cz).le(w2.mul(L::splat(self.radius * self.radius)));
         let near2 = self.distance_min * self.distance_min;
@@ -152,15 +166,15 @@ impl Shape for Tile {
     #[inline(always)]
     fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> u16 {
         let [x, y, z] = direction;
-        let slab = |t: Vec3, half: f32| {
-            let at = t.dot(self.center);
-            let d = x.mul(L::splat(t.x)).add(y.mul(L::splat(t.y))).add(z.mul(L::splat(t.z)));
-            L::and(w.mul(L::splat(at - half)).le(d), d.le(w.mul(L::splat(at + half))))
-        };
-        let on_tile = L::and(slab(self.edges[0], self.half[0]), slab(self.edges[1], self.half[1]));
+        let ([a, b], [half_a, half_b]) = (self.edges, self.half);
+        let (at_a, at_b) = (a.dot(self.center), b.dot(self.center));
+        let (along_a, along_b) = (along(direction, a), along(direction, b));
+        let on_tile = L::and(
+            slab(along_a, w, at_a - half_a, at_a + half_a),
+            slab(along_b, w, at_b - half_b, at_b + half_b),
+        );
         let near2 = self.distance_min * self.distance_min;
-        let length2 = x.mul(x).add(y.mul(y)).add(z.mul(z));
-        let far_enough = w.mul(w).mul(L::splat(near2)).le(length2);
+        let far_enough = w.mul(w).mul(L::splat(near2)).le(length2(x, y, z));
         L::bits(L::and(on_tile, far_enough))
     }
 }

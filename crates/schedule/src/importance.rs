@@ -220,11 +220,22 @@ impl Threshold for CubeThreshold<'_> {
     }
 }
 
-/// The direction, not of unit length, in which a cone around `toward` whose half-angle is `spread` comes nearest to `axis`.
+/// 1 over the square root of x within 10⁻⁵, for x above 0: less time than a root and a division, as nodes are weighed by the million.
+#[inline(always)]
+fn inverse_root(x: f32) -> f32 {
+    // Half the exponent, negative, and two steps of Newton's method. Narrow lobes need the digits.
+    let guess = f32::from_bits(0x5f37_5a86 - (x.to_bits() >> 1));
+    let guess = guess * (1.5 - 0.5 * x * guess * guess);
+    guess * (1.5 - 0.5 * x * guess * guess)
+}
+
+/// The unit direction in which a cone around `toward`, whose half-angle is `spread`, comes nearest to `axis`.
 #[inline(always)]
 pub(crate) fn nearest_to(axis: Vec3, toward: Vec3, spread: f32) -> Vec3 {
     let apart = axis - toward;
-    toward + apart * (spread / apart.length().max(1e-6)).min(1.0)
+    let share = spread * inverse_root(apart.length_squared() + 1e-12);
+    let nearest = toward + apart * if share < 1.0 { share } else { 1.0 };
+    nearest * inverse_root(nearest.length_squared() + 1e-12)
 }
 
 /// Thresholds of a lobe's raster.
@@ -253,8 +264,9 @@ impl Threshold for LobeThreshold<'_> {
             factor *= PLANE_FACTOR;
         }
         if self.terms.lobe {
-            let inverse = 1.0 / node.distance2.sqrt();
-            let (toward, spread) = (node.to_center * inverse, node.radius2.sqrt() * inverse);
+            let inverse = inverse_root(node.distance2 + 1e-30);
+            let spread2 = node.radius2 * inverse * inverse + 1e-12;
+            let (toward, spread) = (node.to_center * inverse, spread2 * inverse_root(spread2));
             let nearest = nearest_to(self.axis, toward, spread);
             // Of a lobe as wide as a hemisphere, the user's solid angle is this share.
             factor *= self.lobe.share_solid_angle(nearest, 2.0 * PI);
@@ -345,6 +357,23 @@ mod tests {
         assert!((usual / sin2_of(0.1) - 1.0).abs() < 1e-3, "{usual}");
         // Nearly the texel's.
         assert!(last < sin2_of(0.012), "{last}");
+    }
+
+    #[test]
+    fn roots_are_close() {
+        for step in -60..60 {
+            let x = 1.37f32.powi(step);
+            assert!((inverse_root(x) * x.sqrt() - 1.0).abs() < 1e-5, "{x}");
+        }
+        // The direction itself, the axis where the cone holds it, and between them.
+        let (axis, toward) = (Vec3::Z, Vec3::X);
+        for (spread, expected) in
+            [(0.0, toward), (9.0, axis), (0.5f32.sqrt(), Vec3::new(0.5, 0.0, 0.5))]
+        {
+            let nearest = nearest_to(axis, toward, spread);
+            assert!((nearest - expected.normalize()).length() < 1e-4, "{spread}: {nearest}");
+        }
+        assert!((nearest_to(axis, axis, 0.1) - axis).length() < 1e-4);
     }
 
     #[test]

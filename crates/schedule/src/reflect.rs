@@ -7,16 +7,20 @@ use pbgi_brdf::{GgxLobe, LobeDirections, LobePattern};
 use pbgi_cut::{Cluster, CutVisitor, SurfelSeen};
 use pbgi_math::{Aabb, Vec3};
 use pbgi_raster::{Ink, Lanes, LobeInk, LobeRaster, SAMPLES, Shape};
+use std::f32::consts::PI;
 use std::marker::PhantomData;
 
 /// Directions a piece would meet, by its solid angle, from which on it shines in those it does meet: below, their number says too
 /// little of its size.
-const COUNTED_DIRECTIONS: f32 = 4.0;
+const COUNTED_DIRECTIONS: f32 = 8.0;
+
+/// Directions up to which a round piece, by the solid angle of its bounds, is a particle: which of them it would meet is chance.
+const PARTICLE_DIRECTIONS: f32 = 1.0;
 
 /// Memory of reflections, reused from receiver to receiver.
 #[derive(Debug)]
 pub(crate) struct LobeScratch {
-    pattern: LobePattern,
+    pub pattern: LobePattern,
     pub directions: LobeDirections,
     pub raster: LobeRaster,
 }
@@ -40,7 +44,8 @@ impl LobeScratch {
     #[inline(always)]
     pub fn start(&mut self, lobe: &GgxLobe) {
         lobe.directions(&self.pattern, &mut self.directions);
-        self.raster.clear(&self.directions.directions, &self.directions.above);
+        let LobeDirections { directions, solid_angles, above, .. } = &self.directions;
+        self.raster.clear(directions, solid_angles, above);
     }
 
     /// Solid angle of the densest direction.
@@ -66,14 +71,15 @@ impl LobeScratch {
                 }
             }
             let Some(light) = light else { continue };
-            let mut open = self.raster.open_directions(group) & above[group];
-            while open != 0 {
-                let i = open.trailing_zeros() as usize;
-                open &= open - 1;
+            let through = self.raster.transmittance(group);
+            for i in (0..SAMPLES).filter(|i| above[group] >> i & 1 != 0) {
+                if through[i] == 0.0 {
+                    continue;
+                }
                 let direction = directions[group].each_ref().map(|axis| axis[i]);
                 let sky = light.pyramid.radiance(direction.into(), solid_angles[group][i]);
                 for channel in 0..3 {
-                    reflected[channel] += weights[group][channel][i] * sky[channel];
+                    reflected[channel] += through[i] * weights[group][channel][i] * sky[channel];
                 }
             }
         }
@@ -85,7 +91,10 @@ impl LobeScratch {
 pub(crate) struct LobeVisitor<'a, L> {
     pub raster: &'a mut LobeRaster,
     pub lobe: &'a GgxLobe,
-    /// Its mirror direction.
+    pub pattern: &'a LobePattern,
+    /// Which directions are above the horizon.
+    pub above: &'a [u16],
+    /// The lobe's mirror direction.
     pub axis: Vec3,
     /// Directions of the raster.
     pub count: f32,
@@ -93,30 +102,81 @@ pub(crate) struct LobeVisitor<'a, L> {
     pub lanes: PhantomData<L>,
 }
 
+/// Where a piece lies and what it is.
+#[derive(Clone, Copy)]
+struct Place {
+    /// From the receiver to its middle.
+    toward: Vec3,
+    /// Radius over distance.
+    spread: f32,
+    /// Whether it faces the receiver wherever that is, and lies anywhere in its bounds.
+    is_round: bool,
+}
+
+/// How a piece is drawn.
+#[derive(Clone, Copy)]
+struct Drawn {
+    ink: LobeInk,
+    solid_angle: f32,
+    from: Vec3,
+    is_particle: bool,
+}
+
 impl<L: Lanes> LobeVisitor<'_, L> {
-    /// How a piece around `toward`, of this radius over its distance, shines: by its solid angle where it is smaller than some directions'
-    /// share of the lobe even where it comes nearest to the mirror direction.
+    /// How a piece shines: by its solid angle where it is smaller than some directions' share of the lobe even where it comes nearest to the
+    /// mirror direction.
     #[inline(always)]
-    fn ink(&self, ink: &Ink, spread: f32, toward: Vec3) -> LobeInk {
+    fn ink(&self, ink: &Ink, place: &Place) -> Drawn {
         let Ink { veil, tolerance, radiance, solid_angle } = *ink;
-        let counted = LobeInk { veil, tolerance, radiance, reflected: [0.0; 3] };
-        if radiance == [0.0; 3] {
-            return counted;
+        let from = place.toward * (1.0 / place.toward.length());
+        let ink = LobeInk { veil, tolerance, radiance, reflected: [0.0; 3] };
+        let mut drawn = Drawn { ink, solid_angle, from, is_particle: false };
+        if radiance == [0.0; 3] && !place.is_round {
+            return drawn;
         }
-        let from = toward * (1.0 / toward.length());
-        let nearest = nearest_to(self.axis, from, spread);
-        if solid_angle > COUNTED_DIRECTIONS * self.lobe.share_solid_angle(nearest, self.count) {
-            return counted;
+        let nearest = nearest_to(self.axis, from, place.spread);
+        let share = self.lobe.share_solid_angle(nearest, self.count);
+        drawn.is_particle =
+            place.is_round && PI * place.spread * place.spread < PARTICLE_DIRECTIONS * share;
+        if solid_angle <= COUNTED_DIRECTIONS * share || drawn.is_particle {
+            let reflect = self.lobe.reflect(from);
+            drawn.ink.reflected = std::array::from_fn(|c| radiance[c] * reflect[c] * solid_angle);
+            drawn.ink.radiance = [0.0; 3];
         }
-        let reflect = self.lobe.reflect(from);
-        let reflected = std::array::from_fn(|c| radiance[c] * reflect[c] * solid_angle);
-        LobeInk { radiance: [0.0; 3], reflected, ..counted }
+        drawn
+    }
+
+    /// The direction that stands for the one from where a piece is; none where that is below the horizon.
+    #[inline(always)]
+    fn direction(&self, drawn: &Drawn) -> Option<usize> {
+        if drawn.from.dot(self.normal) <= 0.0 {
+            return None;
+        }
+        self.pattern.direction_at(self.lobe.place(drawn.from), self.above)
     }
 
     #[inline(always)]
-    fn draw_surfel<S: Shape>(&mut self, shape: &S, bounds: &Aabb, ink: &LobeInk, toward: Vec3) {
-        if self.raster.is_open::<L>(bounds.min, bounds.max) {
-            self.raster.draw::<L, S>(shape, ink, toward);
+    fn draw<S: Shape>(&mut self, shape: &S, drawn: &Drawn) {
+        let Drawn { ink, solid_angle, .. } = drawn;
+        if drawn.is_particle {
+            if let Some(direction) = self.direction(drawn) {
+                self.raster.scatter(ink, *solid_angle, shape.inverse(), direction);
+            }
+            return;
+        }
+        let is_met = self.raster.draw::<L, S>(shape, ink);
+        if is_met || ink.reflected == [0.0; 3] {
+            return;
+        }
+        if let Some(direction) = self.direction(drawn) {
+            self.raster.shine(ink, shape.inverse(), direction);
+        }
+    }
+
+    #[inline(always)]
+    fn draw_surfel<S: Shape>(&mut self, shape: &S, bounds: &Aabb, drawn: &Drawn) {
+        if drawn.is_particle || self.raster.is_open::<L>(bounds.min, bounds.max) {
+            self.draw(shape, drawn);
         }
     }
 }
@@ -132,8 +192,9 @@ impl<L: Lanes> CutVisitor for LobeVisitor<'_, L> {
         for piece in cluster.pieces() {
             let (section, veil) = piece_shape(cluster, piece);
             let toward = (cluster.low + cluster.high) * 0.5;
-            let ink = self.ink(&piece_ink(cluster, piece, veil), cluster.spread, toward);
-            self.raster.draw::<L, _>(&section, &ink, toward);
+            let place = Place { toward, spread: cluster.spread, is_round: piece.is_round };
+            let drawn = self.ink(&piece_ink(cluster, piece, veil), &place);
+            self.draw(&section, &drawn);
         }
     }
 
@@ -144,16 +205,17 @@ impl<L: Lanes> CutVisitor for LobeVisitor<'_, L> {
         }
         let toward = seen.surfel.center;
         let spread = seen.surfel.radius / seen.distance2.sqrt();
+        let place = Place { toward, spread, is_round: seen.surfel.isotropic };
         if let Some(tile) = surfel_tile(seen, self.normal) {
             let ink = surfel_ink(seen, seen.surfel.normal, 1.0, tile.half[0]);
-            let ink = self.ink(&ink, spread, toward);
-            self.draw_surfel(&tile, &tile.bounds(), &ink, toward);
+            let drawn = self.ink(&ink, &place);
+            self.draw_surfel(&tile, &tile.bounds(), &drawn);
             return;
         }
         let (disk, normal, opacity) = surfel_disk(seen, self.normal);
         let ink = surfel_ink(seen, normal, opacity, disk.radius);
-        let ink = self.ink(&ink, spread, toward);
+        let drawn = self.ink(&ink, &place);
         let bounds = Aabb::from_disk(disk.center, normal, disk.radius);
-        self.draw_surfel(&disk, &bounds, &ink, toward);
+        self.draw_surfel(&disk, &bounds, &drawn);
     }
 }
