@@ -2,7 +2,7 @@
 
 use pbgi_cloud::Surfel;
 use pbgi_format::Lobe;
-use pbgi_math::{Aabb, DVec3, Vec3, section_area};
+use pbgi_math::{Aabb, DVec3, Frame, Vec3, section_area};
 
 /// Surfels of similar normals and radiance, summed in f64. See [`Lobe`] for the function it stands for.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -17,16 +17,17 @@ pub struct LobeSum {
     pub flux: [f64; 3],
     /// Whether backs block.
     pub blocks_back: bool,
-    /// Of sheets, `Σ aᵢ zᵢ²` with the heights `zᵢ` of the surfels over the plane through their centroid; 0 where backs block.
-    pub scatter: f64,
+    /// Area that sheets cover, seen along `vector`: what lies behind other parts of the lobe does not count. `area` where backs block.
+    pub covered: f64,
+    /// Where they are.
+    pub bounds: Aabb,
 }
 
-/// Scatter of heights, over the square of how far the box reaches along the normal, from which on the leaves of a lobe lie above each other:
-/// half the box's depth on the mean, a quarter of that of leaves spread evenly.
-const MIXED_SCATTER: f64 = 1.0 / 12.0;
+/// Share of their area by which normals of parallel sheets may cancel.
+const PARALLEL: f64 = 1e-4;
 
-/// How many leaves lie above each other where there is one on the mean: 1 where they lie at random, more in clumps. Measured on foliage.
-const CLUMPING: f64 = 1.5;
+/// Distance of two sheets' planes, as a share of the smaller one's width, up to which they are pieces of one sheet.
+const SAME_SHEET: f64 = 0.25;
 
 /// Area of a surfel as lobes count it: see [`LobeSum::area`].
 pub(crate) fn lobe_area(surfel: &Surfel) -> f64 {
@@ -44,15 +45,19 @@ impl LobeSum {
             moment: surfel.center().as_dvec3() * area,
             flux: surfel.radiance.map(|c| f64::from(c) * area),
             blocks_back: !isotropic && !surfel.is_front_only(),
-            scatter: 0.0,
+            covered: area,
+            bounds: Aabb { min: surfel.center(), max: surfel.center() }
+                .inflated(0.5 * surfel.area.sqrt()),
         }
     }
 
     /// Adds another lobe.
     pub fn add(&mut self, other: &Self) {
         if !self.blocks_back {
-            self.scatter += other.scatter + self.scatter_between(other);
+            self.covered -= self.covered_twice(other);
+            self.bounds = self.bounds.union(other.bounds);
         }
+        self.covered += other.covered;
         self.vector += other.vector;
         self.area += other.area;
         self.moment += other.moment;
@@ -61,12 +66,33 @@ impl LobeSum {
         }
     }
 
-    /// What [`Self::scatter`] of the sum of two lobes is more than the sum of theirs, as their planes lie apart: Steiner's theorem.
-    fn scatter_between(&self, other: &Self) -> f64 {
-        let (a, b) = (self.area, other.area);
+    /// Area that two sheets, in planes apart from each other, both cover along their common normal: each is taken to be spread evenly and
+    /// at random over the rectangle of its box in that view.
+    fn covered_twice(&self, other: &Self) -> f64 {
         let normal = (self.vector + other.vector).normalize_or_zero();
-        let apart = normal.dot(self.moment / a - other.moment / b);
-        a * b / (a + b) * apart * apart
+        if normal == DVec3::ZERO {
+            return 0.0;
+        }
+        let apart = normal.dot(self.moment / self.area - other.moment / other.area).abs();
+        let frame = Frame::from_normal(normal.as_vec3());
+        let side = |bounds: &Aabb, axis: Vec3| {
+            let (center, half) = (bounds.center().dot(axis), 0.5 * bounds.extent().dot(axis.abs()));
+            (center - half, center + half)
+        };
+        let (mut both, mut own, mut others) = (1.0, 1.0, 1.0);
+        for axis in [frame.tangent, frame.bitangent] {
+            let ((a, b), (c, d)) = (side(&self.bounds, axis), side(&other.bounds, axis));
+            both *= f64::from((b.min(d) - a.max(c)).max(0.0));
+            own *= f64::from(b - a);
+            others *= f64::from(d - c);
+        }
+        // Pieces of one sheet lie side by side.
+        if both == 0.0 || apart * apart < SAME_SHEET * SAME_SHEET * own.min(others) {
+            return 0.0;
+        }
+        let (own_part, other_part) =
+            ((self.covered / own).min(1.0), (other.covered / others).min(1.0));
+        own_part * other_part * both
     }
 
     /// Mean radiance.
@@ -88,11 +114,10 @@ impl LobeSum {
             let reach = normal.abs().dot(half).max(f64::MIN_POSITIVE);
             height = (normal.dot(self.moment / self.area - center) / reach).clamp(-1.0, 1.0);
             let section = section_area(half, normal, height * reach);
-            let layers = length / section.max(f64::MIN_POSITIVE);
-            // Leaves in one plane lie side by side; at all heights of the box they cover it as random clumps do.
-            let mixed = (self.scatter / (self.area * reach * reach) / MIXED_SCATTER).min(1.0);
-            let clumped = (1.0 - (-CLUMPING * layers).exp()) / CLUMPING;
-            fill = layers.min(1.0) * (1.0 - mixed) + clumped * mixed;
+            // Parallel sheets are boards and panes, and closed; leaves are never parallel.
+            let is_board = length >= self.area * (1.0 - PARALLEL);
+            let covered = if is_board { length } else { length * (self.covered / self.area) };
+            fill = (covered / section.max(f64::MIN_POSITIVE)).min(1.0);
         }
         Lobe {
             vector: self.vector.as_vec3(),
@@ -140,6 +165,74 @@ const NEWTON_ACCURACY: f64 = 1e-7;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use pbgi_cloud::SurfelFlags;
+
+    /// The lobe of sheets of 8 × 8 squares at these heights, tilted by this angle to either side, in turn, and its fill of the box
+    /// from −1 to 1.
+    fn fill_of_sheets(heights: &[f32], tilt: f32) -> f32 {
+        let mut sum: Option<LobeSum> = None;
+        for (layer, height) in heights.iter().enumerate() {
+            let angle = if layer % 2 == 0 { tilt } else { -tilt };
+            let normal = Vec3::new(angle.sin(), 0.0, angle.cos());
+            let mut sheet: Option<LobeSum> = None;
+            for i in 0..64 {
+                let place = |i: i32| (i as f32 - 3.5) * 0.25;
+                let x = place(i % 8);
+                let center = Vec3::new(x, place(i / 8), height - x * angle.tan());
+                let surfel =
+                    Surfel::new(center, normal, 0.2, 0.0625).with_flags(SurfelFlags::FRONT_ONLY);
+                let lobe = LobeSum::from_surfel(&surfel, normal);
+                sheet = Some(sheet.map_or(lobe, |mut sheet| {
+                    sheet.add(&lobe);
+                    sheet
+                }));
+            }
+            let sheet = sheet.unwrap();
+            sum = Some(sum.map_or(sheet, |mut sum| {
+                sum.add(&sheet);
+                sum
+            }));
+        }
+        let bounds = Aabb { min: Vec3::NEG_ONE, max: Vec3::ONE };
+        sum.unwrap().to_lobe(&bounds).fill
+    }
+
+    #[test]
+    fn sheets_above_each_other_cover_once() {
+        // One sheet, and a board of two.
+        assert!(fill_of_sheets(&[0.3], 0.0) > 0.99);
+        assert!(fill_of_sheets(&[-0.5, 0.5], 0.0) > 0.99);
+        // Two that are tilted apart cover each other, and no more.
+        let two = fill_of_sheets(&[-0.5, 0.5], 0.3);
+        assert!(two > 0.85, "{two}");
+    }
+
+    #[test]
+    fn leaves_spread_at_random_cover_what_they_leave_open() {
+        // Sparse sheets: every other square, so each covers half of its rectangle.
+        let sheet = |height: f32, odd: i32, angle: f32| {
+            let normal = Vec3::new(angle.sin(), 0.0, angle.cos());
+            let place = |i: i32| (i as f32 - 3.5) * 0.25;
+            let squares = (0..64).filter(move |i| (i % 8 + i / 8) % 2 == odd);
+            let lobes = squares.map(move |i| {
+                let x = place(i % 8);
+                let center = Vec3::new(x, place(i / 8), height - x * angle.tan());
+                let surfel =
+                    Surfel::new(center, normal, 0.2, 0.0625).with_flags(SurfelFlags::FRONT_ONLY);
+                LobeSum::from_surfel(&surfel, normal)
+            });
+            lobes.reduce(|mut sum, lobe| {
+                sum.add(&lobe);
+                sum
+            })
+        };
+        let (mut low, high) = (sheet(-0.5, 0, 0.2).unwrap(), sheet(0.5, 1, -0.2).unwrap());
+        assert!((low.covered - 2.0).abs() < 1e-6);
+        low.add(&high);
+        // 1 − (1 − ½)² of the four.
+        assert!((low.covered - 3.0).abs() < 0.1, "{low:?} {high:?}");
+        assert!(low.area == 4.0);
+    }
 
     #[test]
     fn widths_show_the_mean_area() {

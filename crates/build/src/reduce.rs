@@ -196,7 +196,7 @@ impl LobeReducer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pbgi_math::DVec3;
+    use pbgi_math::{Aabb, DVec3};
 
     /// The same by looking at all pairs again after each sum.
     fn reduce_by_all_pairs(mut kept: Vec<LobeSum>, total: f64) -> Vec<LobeSum> {
@@ -241,7 +241,8 @@ mod tests {
                         moment: DVec3::splat(i as f64) * area,
                         flux: [light * area; 3],
                         blocks_back: round % 3 > 0 || i % 2 == 0,
-                        scatter: 0.0,
+                        covered: area,
+                        bounds: Aabb::EMPTY,
                     }
                 })
                 .collect();

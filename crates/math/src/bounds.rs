@@ -11,6 +11,13 @@ pub struct Aabb {
     pub max: Vec3,
 }
 
+/// The empty box.
+impl Default for Aabb {
+    fn default() -> Self {
+        Self::EMPTY
+    }
+}
+
 impl Aabb {
     /// The box that holds nothing; the neutral element of [`Aabb::union`].
     pub const EMPTY: Self =
