@@ -135,9 +135,10 @@ impl<'a> Gatherer<'a> {
             bias: 0.0,
             surfel_bias: self.settings.bias,
         };
-        self.find_lamps(&cut_receiver)?;
         let mut shading = Shading::default();
         if self.settings.parts != GatherParts::Sharp {
+            // Only the cube asks for them.
+            self.find_lamps(&cut_receiver)?;
             shading = self.gather_broad::<L>(&cut_receiver)?;
         }
         if self.settings.parts != GatherParts::Broad {
