@@ -244,7 +244,7 @@ fn see_lobe(lobe: &Lobe, center: Vec3, half: Vec3, toward_receiver: Vec3) -> Opt
             patch_solid_angle_factor(distance2, spread2, variance.dot(across * across));
     }
     let is_sheet = !lobe.blocks_back;
-    if is_flat && is_sheet && is_front {
+    if is_flat && is_sheet && is_front && lobe.fill < SHEET_WHOLE {
         // Leaves above each other cover less than they have area, and hide as much of their light.
         let covered = lobe.fill * central_section_area(half, normal);
         if covered < length {
