@@ -485,7 +485,7 @@ fn is_own_surface(surfel: &LeafSurfel, receiver: &CutReceiver) -> bool {
 }
 
 /// Long over short edge beyond which a rectangle stands for a sliver of another shape.
-const EXACT_ASPECT: f32 = 2.5;
+const EXACT_ASPECT: f32 = 1.75;
 
 /// Whether a surfel is drawn as it is: a rectangle that is a whole micropolygon.
 #[inline(always)]

@@ -440,14 +440,39 @@ mod tests {
                 assert!(!surfel.tile().is_known());
                 continue;
             };
-            tiles += 1;
             let area = u.cross(v).length();
+            if surfel.area < 0.999 * area {
+                // Clipped to a sliver.
+                assert!(a.length() > 1.7 * b.length());
+                continue;
+            }
+            tiles += 1;
             assert!((surfel.area / area - 1.0).abs() < 1e-4);
             assert!((2.0 * a.length() / long.length() - 1.0).abs() < 1e-2);
             assert!((4.0 * a.length() * b.length() / area - 1.0).abs() < 1e-4);
             assert!(a.normalize().dot(long.normalize()).abs() > 0.999);
         }
         assert!(tiles > 0 && tiles < surfels.len(), "{tiles} of {}", surfels.len());
+    }
+
+    /// A disk that reached a sliver's corners would cover little of itself.
+    #[test]
+    fn slivers_are_rectangles_of_their_area() {
+        let mut mesh = square();
+        mesh.triangles.truncate(1);
+        let corners = mesh.triangles[0].map(|i| i as usize);
+        for (corner, place) in corners.into_iter().zip([[0.0, 0.0], [0.3, 0.0], [0.1, 0.02]]) {
+            mesh.positions[corner] = Vec3::new(place[0], place[1], 0.0);
+        }
+        let scene = scene_of(mesh, Material::default());
+        let [surfel] = dice(&scene, Spacing::Length(1.0), TwoSided::None)[..] else {
+            panic!("one cell")
+        };
+        let [long, short] = surfel.half_edges().unwrap();
+        assert!((surfel.area / (0.5 * 0.3 * 0.02) - 1.0).abs() < 1e-5);
+        assert!((2.0 * long.length() / (0.8 * 0.3) - 1.0).abs() < 0.01, "{long}");
+        assert!((4.0 * long.length() * short.length() / surfel.area - 1.0).abs() < 1e-4);
+        assert!(long.normalize().x.abs() > 0.999);
     }
 
     #[test]
