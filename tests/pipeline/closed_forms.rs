@@ -113,16 +113,19 @@ fn a_leaf_close_above_another_hides_its_sky() {
 fn slats_hide_what_lies_behind_them() {
     let step = 0.02;
     let solid = SurfelFlags::default();
-    let slats = [0.0, 0.5 * step].map(|height| sheet(Vec3::Y, height, step, solid));
-    let surfels: Vec<Surfel> = slats.into_iter().flatten().collect();
-    let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
     let settings = GatherSettings { solid_angle_sr: 0.0, ..GatherSettings::default() };
-    let openness = |height: f32| {
-        let receiver = Receiver::diffuse(Vec3::new(0.013, height, -0.031), Vec3::Y);
-        gather(&octree, &settings, receiver).ambient_occlusion
-    };
-    assert!(openness(0.0) < 0.05, "{}", openness(0.0));
-    assert!(openness(0.5 * step) > 0.999, "{}", openness(0.5 * step));
+    // Radii are 0.7 of a step.
+    for apart in [0.5 * step, 0.2 * step, 0.08 * step] {
+        let slats = [0.0, apart].map(|height| sheet(Vec3::Y, height, step, solid));
+        let surfels: Vec<Surfel> = slats.into_iter().flatten().collect();
+        let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
+        let openness = |height: f32| {
+            let receiver = Receiver::diffuse(Vec3::new(0.013, height, -0.031), Vec3::Y);
+            gather(&octree, &settings, receiver).ambient_occlusion
+        };
+        assert!(openness(0.0) < 0.05, "{apart}: {}", openness(0.0));
+        assert!(openness(apart) > 0.999, "{apart}: {}", openness(apart));
+    }
 }
 
 /// Disks of a scanned box, as wide as estimated ones are, reach far over its edges. From a side of it, the ones of the next side are seen

@@ -181,8 +181,8 @@ struct Hit {
 /// A small piece counts by its own exact solid angle, times the share of its samples that are not hidden, so
 /// that a lamp smaller than a texel keeps its flux; a piece is not hidden by
 /// its neighbors on the same surface, known by their depth. A piece
-/// larger than that counts by the samples it newly covers. In a texel that is covered wholly, shares
-/// must sum to one: what is missing or in excess is made up with the radiance of the texel's dimmest piece, so that lamps keep their flux.
+/// larger than that counts by the samples it newly covers. In a texel that is covered wholly, shares must sum to one: surfaces share what
+/// lamps leave of it. Lamps, pieces far brighter than usual, count by their own solid angle and cosine, whatever the texels' size.
 #[derive(Clone, Debug)]
 pub struct CubeRaster {
     n: usize,

@@ -204,3 +204,59 @@ impl CutVisitor for LampVisitor<'_> {
 fn largest(radiance: [f32; 3]) -> f32 {
     radiance[0].max(radiance[1]).max(radiance[2])
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn node(to_center: Vec3, radius: f32) -> NodeSeen {
+        NodeSeen {
+            to_center,
+            distance2: to_center.length_squared(),
+            radius2: radius * radius,
+            is_plane: false,
+            brightness: 0.0,
+        }
+    }
+
+    fn one_lamp(toward: Vec3, light: f32) -> Lamps {
+        let mut lamps = Lamps::new();
+        lamps.clear(1.0);
+        lamps.add(toward, light);
+        lamps.finish();
+        lamps
+    }
+
+    #[test]
+    fn a_lamp_counts_for_what_stands_before_it_and_for_nothing_else() {
+        // In the middle of a face, in a corner of three, and on an edge.
+        for toward in [Vec3::Z, Vec3::ONE, Vec3::new(1.0, 1.0, 0.2)] {
+            let toward = toward.normalize() * 5.0;
+            let lamps = one_lamp(toward, 0.5);
+            for radius in [0.01, 0.3, 0.9] {
+                let before = lamps.behind(&node(toward * 0.4, radius));
+                // At least the mean over the texels around the node.
+                let sr = PI * (radius / 2.0).powi(2);
+                assert!(before > 0.5 / (64.0 * sr).max(0.1), "{toward} {radius}: {before}");
+                assert_eq!(lamps.behind(&node(toward * 3.0, radius)), 0.0);
+                assert_eq!(lamps.behind(&node(toward * -0.4, radius * 0.1)), 0.0);
+            }
+            // A little beside it, over whichever border, but not far.
+            let aside = toward.any_orthonormal_vector();
+            assert!(lamps.behind(&node(toward * 0.4 + aside * 0.1, 0.01)) > 1.0);
+            assert_eq!(lamps.behind(&node(toward * 0.4 + aside * 1.5, 0.01)), 0.0);
+        }
+    }
+
+    #[test]
+    fn lamps_are_forgotten() {
+        let mut lamps = one_lamp(Vec3::X, 1.0);
+        lamps.clear(2.0);
+        assert_eq!(lamps.behind(&node(Vec3::X * 0.5, 0.01)), 0.0);
+        assert_eq!(lamps.least, 2.0 * LAMP_BRIGHTNESS);
+        lamps.add(Vec3::Y, 1.0);
+        lamps.finish();
+        assert_eq!(lamps.behind(&node(Vec3::X * 0.5, 0.01)), 0.0);
+        assert!(lamps.behind(&node(Vec3::Y * 0.5, 0.01)) > 0.0);
+    }
+}
