@@ -276,11 +276,14 @@ impl Threshold for LobeThreshold<'_> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use pbgi_light::{Environment, EnvironmentOptions, SkyParameters, synthetic_sky};
+    use std::sync::LazyLock;
 
-    fn node(to_center: Vec3, radius: f32) -> NodeSeen {
+    static NO_LAMPS: LazyLock<Lamps> = LazyLock::new(Lamps::new);
+
+    pub(crate) fn node(to_center: Vec3, radius: f32) -> NodeSeen {
         NodeSeen {
             to_center,
             distance2: to_center.length_squared(),
@@ -292,7 +295,7 @@ mod tests {
 
     fn cube(terms: ImportanceTerms, surfaces: f32) -> CubeThreshold<'static> {
         let stakes = Stakes::new(terms, surfaces, None);
-        let lamps = Box::leak(Box::new(Lamps::new()));
+        let lamps = &*NO_LAMPS;
         CubeThreshold { user_sr: 0.1, texel_sr: 0.01, normal: Vec3::Y, terms, stakes, lamps }
     }
 

@@ -208,16 +208,7 @@ fn largest(radiance: [f32; 3]) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn node(to_center: Vec3, radius: f32) -> NodeSeen {
-        NodeSeen {
-            to_center,
-            distance2: to_center.length_squared(),
-            radius2: radius * radius,
-            is_plane: false,
-            brightness: 0.0,
-        }
-    }
+    use crate::importance::tests::node;
 
     fn one_lamp(toward: Vec3, light: f32) -> Lamps {
         let mut lamps = Lamps::new();
