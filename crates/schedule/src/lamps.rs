@@ -11,8 +11,8 @@ const EDGE: usize = 8;
 /// Levels: 8, 4, 2 and 1 texels along a face.
 const LEVELS: usize = EDGE.trailing_zeros() as usize + 1;
 
-/// Brightness over what is usual from which on a surface is a lamp: walls in the sun are not, as all that stands before them would be fine.
-const LAMP_BRIGHTNESS: f32 = 10.0;
+/// Brightness over what is usual from which on a surface is a lamp.
+const LAMP_BRIGHTNESS: f32 = 4.0;
 
 /// A cube map at every coarseness of the light that lamps send to a receiver, and of how far away they are.
 ///
