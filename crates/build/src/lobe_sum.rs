@@ -19,7 +19,7 @@ pub struct LobeSum {
     pub blocks_back: bool,
     /// Area that sheets cover, seen along `vector`: what lies behind other parts of the lobe does not count. `area` where backs block.
     pub covered: f64,
-    /// Where they are.
+    /// Where sheets are; empty where backs block.
     pub bounds: Aabb,
 }
 
@@ -39,15 +39,20 @@ impl LobeSum {
     #[must_use]
     pub fn from_surfel(surfel: &Surfel, normal: Vec3) -> Self {
         let (isotropic, area) = (surfel.is_isotropic(), lobe_area(surfel));
+        let blocks_back = !isotropic && !surfel.is_front_only();
+        let center = Aabb { min: surfel.center(), max: surfel.center() };
         Self {
             vector: if isotropic { DVec3::ZERO } else { normal.as_dvec3() * area },
             area,
             moment: surfel.center().as_dvec3() * area,
             flux: surfel.radiance.map(|c| f64::from(c) * area),
-            blocks_back: !isotropic && !surfel.is_front_only(),
+            blocks_back,
             covered: area,
-            bounds: Aabb { min: surfel.center(), max: surfel.center() }
-                .inflated(0.5 * surfel.area.sqrt()),
+            bounds: if blocks_back {
+                Aabb::EMPTY
+            } else {
+                center.inflated(0.5 * surfel.area.sqrt())
+            },
         }
     }
 

@@ -11,6 +11,6 @@ mod pick;
 pub use cluster::{Cluster, Piece};
 pub use metric::{NodeSeen, Threshold, UniformThreshold};
 pub use pick::{
-    CutReceiver, CutScratch, CutStats, CutVisitor, LEVELS, LevelStats, OTHER_BIAS, SurfelSeen,
-    is_parallel_tile, mean_brightness, pick_cut,
+    CutReceiver, CutScratch, CutStats, CutVisitor, LEVELS, LevelStats, OTHER_BIAS,
+    OWN_SURFACE_COSINE, SurfelSeen, is_parallel_tile, mean_brightness, pick_cut,
 };

@@ -126,7 +126,7 @@ struct Frame {
     /// Octants with a child, and those whose child is a leaf.
     octants: u8,
     leaves: u8,
-    /// Children (bit = octant) below the horizon, and those too large to be taken as one.
+    /// Children (bit = octant) below the horizon or not wanted, and those too large to be taken as one.
     below: u8,
     large: u8,
     /// Octant order is `step ^ flip`.
@@ -429,8 +429,8 @@ pub const OTHER_BIAS: f32 = 0.05;
 /// Cosine of the angle between normals up to which surfaces count as parallel: codes of normals are off by a tenth of a degree.
 const PARALLEL_COSINE: f32 = 0.9998;
 
-/// Cosine of the angle between normals below which a rectangle is no piece of the receiver's own curved surface.
-const OWN_COSINE: f32 = 0.7;
+/// Cosine of the angle between normals above which a near surfel may be a piece of the receiver's own curved surface.
+pub const OWN_SURFACE_COSINE: f32 = 0.7;
 
 /// How far a surfel reaches over its center along a unit vector whose cosine to its normal is `tilt`.
 #[inline(always)]
@@ -466,7 +466,7 @@ fn is_own_surface(surfel: &LeafSurfel, receiver: &CutReceiver) -> bool {
     // A surface does not face its own front: what does hangs over the receiver, however low. Nor does a flat one stand over itself, or
     // meet itself at a right angle: such rectangles are another one, like the next slat, or the wall on a floor.
     let is_facing = !surfel.isotropic && tilt < 0.0;
-    let is_other = surfel.tile.is_known() && !(OWN_COSINE..PARALLEL_COSINE).contains(&tilt);
+    let is_other = surfel.tile.is_known() && !(OWN_SURFACE_COSINE..PARALLEL_COSINE).contains(&tilt);
     let share = if is_facing || is_other {
         OTHER_BIAS.min(receiver.surfel_bias)
     } else {
@@ -490,8 +490,10 @@ const EXACT_ASPECT: f32 = 1.75;
 /// Whether a surfel is drawn as it is: a rectangle that is a whole micropolygon.
 #[inline(always)]
 fn is_exact(surfel: &LeafSurfel) -> bool {
-    let [long, short] = surfel.half_edges();
-    surfel.tile.is_known() && long <= EXACT_ASPECT * short
+    surfel.tile.is_known() && {
+        let [long, short] = surfel.half_edges();
+        long <= EXACT_ASPECT * short
+    }
 }
 
 #[inline(always)]

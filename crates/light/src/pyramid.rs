@@ -93,19 +93,8 @@ impl EnvironmentPyramid {
 
 /// For each texel the largest luminance among itself and those around it.
 fn spread(map: &CubeMap, texels: &[[f32; 3]]) -> Vec<f32> {
-    let n = map.edge();
-    let step = 2.0 / n as f32;
-    let largest = |index: usize| {
-        let face = CubeFace((index / (n * n)) as u8);
-        let middle = |i: usize| (i as f32 + 0.5) * step - 1.0;
-        let (u, v) = (middle(index % n), middle(index / n % n));
-        let around = (0..9).map(|i| {
-            let shift = |i: i32| (i - 1) as f32 * step;
-            // Beyond its edge, the plane of a face shows what lies on the next.
-            let beside = face.direction(u + shift(i % 3), v + shift(i / 3));
-            luminance(texels[map.texel_index(beside)])
-        });
-        around.fold(0.0, f32::max)
+    let largest = |index| {
+        map.around(index).into_iter().map(|beside| luminance(texels[beside])).fold(0.0, f32::max)
     };
     (0..texels.len()).map(largest).collect()
 }

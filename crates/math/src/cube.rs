@@ -117,6 +117,21 @@ impl CubeMap {
         (usize::from(face.0) * self.n + cell(v)) * self.n + cell(u)
     }
 
+    /// A texel and the eight around it, on whichever face they lie; some are the same at corners of the cube.
+    #[must_use]
+    pub fn around(&self, index: usize) -> [usize; 9] {
+        let n = self.n;
+        let step = 2.0 / n as f32;
+        let face = CubeFace((index / (n * n)) as u8);
+        let middle = |i: usize| (i as f32 + 0.5) * step - 1.0;
+        let (u, v) = (middle(index % n), middle(index / n % n));
+        std::array::from_fn(|i| {
+            let shift = |i: usize| (i as f32 - 1.0) * step;
+            // Beyond its edge, the plane of a face shows what lies on the next.
+            self.texel_index(face.direction(u + shift(i % 3), v + shift(i / 3)))
+        })
+    }
+
     /// Face coordinates of texel boundary `i` in 0..=n.
     #[must_use]
     pub fn boundary(&self, i: usize) -> f32 {

@@ -1,6 +1,6 @@
 //! Surfels and pieces of clusters as shapes that rasters draw.
 
-use pbgi_cut::{Cluster, OTHER_BIAS, Piece, SurfelSeen, is_parallel_tile};
+use pbgi_cut::{Cluster, OTHER_BIAS, OWN_SURFACE_COSINE, Piece, SurfelSeen, is_parallel_tile};
 use pbgi_format::LeafSurfel;
 use pbgi_math::{Vec3, patch_solid_angle_factor};
 use pbgi_raster::{Disk, Ink, Section, Tile, Veil};
@@ -9,9 +9,6 @@ use std::f32::consts::FRAC_1_PI;
 /// Disks that lie along the receiver's own surface are not hit nearer than this many radii: the
 /// neighbors of a point on a curved surface stand above its tangent plane, though the surface does not.
 const OWN_SURFACE_RADII: f32 = 2.0;
-
-/// Cosine between normals above which a near disk counts as the receiver's own surface.
-const OWN_SURFACE_COSINE: f32 = 0.7;
 
 /// Share of its radius by which the receiver must lie behind a disk and that above the receiver's tangent plane for the two to be of
 /// different surfaces, like slats: where a surface bulges its neighbors lie below, where it is hollow they are seen from the front, and

@@ -335,10 +335,9 @@ impl Walker<'_> {
         threshold: &T,
         visitor: &mut V,
     ) -> Result<(), StoreError> {
-        let mut stats = CutStats::default();
-        let Self { reader, scratch, .. } = self;
-        pick_cut(reader, receiver, threshold, visitor, scratch, &mut stats)?;
-        self.stats.add(&CutStats { levels: stats.levels, ..CutStats::default() });
+        let before = self.stats;
+        self.pick(receiver, threshold, visitor)?;
+        self.stats = CutStats { levels: self.stats.levels, ..before };
         Ok(())
     }
 }

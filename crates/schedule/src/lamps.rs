@@ -2,7 +2,7 @@
 
 use crate::drawing::surfel_solid_angle;
 use pbgi_cut::{Cluster, CutVisitor, NodeSeen, SurfelSeen, Threshold};
-use pbgi_math::{CubeFace, CubeMap, Vec3, sphere_sin2_for_solid_angle};
+use pbgi_math::{CubeMap, Vec3, sphere_sin2_for_solid_angle};
 use std::f32::consts::PI;
 
 /// Texels along a face of the finest level.
@@ -43,17 +43,8 @@ struct Level {
 impl Level {
     fn new(edge: usize) -> Self {
         let map = CubeMap::new(edge);
-        let (count, step) = (map.texel_count(), 2.0 / edge as f32);
-        let around = |index: usize| {
-            let face = CubeFace((index / (edge * edge)) as u8);
-            let middle = |i: usize| (i as f32 + 0.5) * step - 1.0;
-            let (u, v) = (middle(index % edge), middle(index / edge % edge));
-            std::array::from_fn(|i| {
-                let shift = |i: usize| (i as f32 - 1.0) * step;
-                // Beyond its edge, the plane of a face shows what lies on the next.
-                map.texel_index(face.direction(u + shift(i % 3), v + shift(i / 3))) as u16
-            })
-        };
+        let count = map.texel_count();
+        let around = |index| map.around(index).map(|beside| beside as u16);
         Self {
             around: (0..count).map(around).collect(),
             inverse_solid_angle: count as f32 / (4.0 * PI),
