@@ -26,17 +26,8 @@ pub const CASES: [&str; 11] = [
     "scan",
 ];
 
-/// Cases that have a picture, besides the scan.
-pub const PICTURED: [&str; 8] = [
-    "cornell3",
-    "sponza-overcast",
-    "sponza-sunny",
-    "apartment",
-    "bunny",
-    "street",
-    "foliage",
-    "fire10",
-];
+/// Cases that have no picture: others show nearly the same.
+pub const WITHOUT_PICTURE: [&str; 2] = ["cornell", "fire30"];
 
 /// Surfels of a case whose surfels are lit by bounces, over those of the others: the box is small and smooth.
 const LIT_SHARE: u64 = 10;

@@ -13,7 +13,7 @@ mod scan;
 mod workers;
 
 use anyhow::{Context, Result};
-use cases::{CASES, Case, Folders, Light, PICTURED, make_case};
+use cases::{CASES, Case, Folders, Light, WITHOUT_PICTURE, make_case};
 use clap::Parser;
 use engine::{LADDER, Setting, bake_case, gather_all};
 use paths::{RayCurve, Truth};
@@ -124,7 +124,7 @@ impl Bench<'_> {
         let (found, us) = gather_all(case, &octree, &setting, &places)?;
         let truth = Truth::cast(case, caster, &places, arguments.noise, arguments.paths)?;
         let drawn = pictures
-            .filter(|_| PICTURED.contains(&case.name.as_str()))
+            .filter(|_| !WITHOUT_PICTURE.contains(&case.name.as_str()))
             .map(|folder| pictures::draw(case, caster, &octree, &setting, folder))
             .transpose()?;
         let mut runs = vec![(setting.label(case), found, us)];
