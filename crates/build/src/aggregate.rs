@@ -3,12 +3,12 @@
 use crate::lobe_sum::{LobeSum, lobe_area};
 use crate::reduce::{LobeReducer, LobeSums};
 use pbgi_cloud::{Surfel, SurfelFlags};
-use pbgi_math::{Aabb, Vec3, rectangle_half_edges};
+use pbgi_math::{Aabb, Vec3, rectangle_half_edges, triangle_base, triangle_corners};
 
 /// What a node knows of its surfels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NodeAggregate {
-    /// Tight box of the surfels' rectangles, or where those are not known, of the area-true squares: of edge `√area`, so
+    /// Tight box of the surfels' rectangles and triangles, or where those are not known, of the area-true squares: of edge `√area`, so
     /// that pieces of a wall tile.
     pub bounds: Aabb,
     /// How far covering disks reach out of `bounds` at most.
@@ -116,22 +116,34 @@ fn is_alike(a: &Surfel, b: &Surfel) -> bool {
     (a.orientation, a.flags) == (b.orientation, b.flags) && a.radiance == b.radiance
 }
 
+/// What a surfel stands for.
+enum Outline {
+    Disk,
+    /// Unit vectors along the edges, by axis without their signs.
+    Rectangle([Vec3; 2]),
+    /// Unit vectors along the longest edge and across, and where the height stands on that.
+    Triangle([Vec3; 2], f32),
+}
+
 /// What follows from a surfel's orientation, which neighbors often share.
 struct Shape {
     key: (u32, SurfelFlags),
     normal: Vec3,
-    /// Unit vectors along the edges of the rectangle, if one is known, by axis without their signs.
-    edges: Option<[Vec3; 2]>,
+    outline: Outline,
 }
 
 impl Shape {
     fn of(surfel: &Surfel) -> Self {
-        let (normal, tile) = (surfel.normal(), surfel.tile());
-        let edges = tile.is_known().then(|| tile.edges(normal).map(Vec3::abs));
-        Self { key: (surfel.orientation, surfel.flags), normal, edges }
+        let (normal, tile, foot) = (surfel.normal(), surfel.tile(), surfel.foot());
+        let outline = match (tile.is_known(), foot.is_known()) {
+            (false, _) => Outline::Disk,
+            (true, false) => Outline::Rectangle(tile.edges(normal).map(Vec3::abs)),
+            (true, true) => Outline::Triangle(tile.axes(normal), foot.share()),
+        };
+        Self { key: (surfel.orientation, surfel.flags), normal, outline }
     }
 
-    /// Box of a surfel's rectangle, or where that is not known, of its area-true square; and how far from the center the nearest
+    /// Box of a surfel's rectangle or triangle, or where that is not known, of its area-true square; and how far from the center the nearest
     /// edge is.
     ///
     /// Boxes are made of squares, not disks, since squares tile: the box of a piece of axis-aligned wall
@@ -141,14 +153,27 @@ impl Shape {
         let center = surfel.center();
         if surfel.is_isotropic() {
             let half_edge = 0.5 * (0.5 * surfel.area).sqrt();
-            (Aabb { min: center, max: center }.inflated(half_edge), half_edge)
-        } else if let Some([along, across]) = self.edges {
-            let [long, short] = rectangle_half_edges(surfel.radius, surfel.area);
-            let reach = along * long + across * short;
-            (Aabb { min: center - reach, max: center + reach }, short)
-        } else {
-            let half_edge = 0.5 * surfel.area.sqrt();
-            (Aabb::from_disk(center, self.normal, half_edge), half_edge)
+            return (Aabb { min: center, max: center }.inflated(half_edge), half_edge);
+        }
+        match &self.outline {
+            Outline::Disk => {
+                let half_edge = 0.5 * surfel.area.sqrt();
+                (Aabb::from_disk(center, self.normal, half_edge), half_edge)
+            }
+            Outline::Rectangle([along, across]) => {
+                let [long, short] = rectangle_half_edges(surfel.radius, surfel.area);
+                let reach = *along * long + *across * short;
+                (Aabb { min: center - reach, max: center + reach }, short)
+            }
+            Outline::Triangle([along, left], foot) => {
+                let base = triangle_base(surfel.radius, surfel.area, *foot);
+                let height = 2.0 * surfel.area / base;
+                let [a, b, c] = triangle_corners(base, height, *foot)
+                    .map(|[x, y]| center + *along * x + *left * y);
+                let bounds = Aabb { min: a.min(b).min(c), max: a.max(b).max(c) };
+                // The longest edge is the nearest.
+                (bounds, height * (1.0 / 3.0))
+            }
         }
     }
 }

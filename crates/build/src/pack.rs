@@ -8,7 +8,6 @@ use pbgi_format::{
     SURFEL_PAGE_FIXED_BYTES, SURFEL_PAGE_HEADER_BYTES, SurfelFields, SurfelLayout, group_bytes,
     write_group,
 };
-use pbgi_math::rectangle_half_edges;
 use std::borrow::Cow;
 use std::vec::Drain;
 
@@ -238,13 +237,11 @@ fn leaf_bytes_guess(nodes: &[(u32, PendingNode<'_>)]) -> usize {
 fn push_surfels(surfels: &[Surfel], layout: &SurfelLayout, writer: &mut LeafWriter) {
     for surfel in surfels {
         let is_tile = surfel.tile().is_known();
-        let size = match is_tile {
-            true => rectangle_half_edges(surfel.radius, surfel.area)[0],
-            false => surfel.radius,
-        };
+        let size = if is_tile { surfel.half_long() } else { surfel.radius };
         let fields = SurfelFields {
             center: surfel.center(),
             orientation: surfel.orientation,
+            foot: surfel.foot(),
             size,
             area: surfel.area,
             radiance: surfel.radiance,

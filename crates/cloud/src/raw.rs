@@ -22,10 +22,11 @@
 //! | 24 | – | 6 | radiance, 3 × f16, finite, ≥ 0 |
 //! | – | 24 | 12 | radiance, 3 × f32, finite, ≥ 0 |
 //! | – | 36 | 6 | albedo, 3 × f16, finite |
-//! | 30 | 42 | 2 | flags, u16: 1 isotropic, 2 front only; other bits zero |
+//! | 30 | 42 | 2 | flags, u16: 1 isotropic, 2 front only; bits 8–14 of triangles ([`pbgi_math::FootCode`]); other bits zero |
 //!
 //! The orientation of versions 2 and 3 is that of a [`Surfel`]: the normal, octahedral, two 12-bit signed normalized numbers; in
-//! bits 24–31 the direction of the long edge of a rectangle with half the diagonal `radius` ([`pbgi_math::TileCode`]), or 0.
+//! bits 24–31 the direction of the long edge of a rectangle with half the diagonal `radius`, or of the longest edge of a triangle whose
+//! farthest corner is `radius` from its centroid ([`pbgi_math::TileCode`]), or 0.
 //! That of version 1 is the normal alone, in two 16-bit numbers; such streams are read, not written.
 
 use crate::record::{Defect, Record, is_sound};

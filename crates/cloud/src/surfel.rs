@@ -2,7 +2,10 @@
 
 use bytemuck::{Pod, Zeroable};
 use half::f16;
-use pbgi_math::{TileCode, Vec3, decode_octahedral24, encode_octahedral24, rectangle_half_edges};
+use pbgi_math::{
+    FootCode, TileCode, Vec3, decode_octahedral24, encode_octahedral24, rectangle_half_edges,
+    triangle_base, triangle_corners, triangle_radius,
+};
 
 /// Bits of [`Surfel::flags`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
@@ -16,8 +19,10 @@ impl SurfelFlags {
     /// back, so that each side has its own light and the sheet blocks once. Without this flag a
     /// surfel blocks light from both sides and its back is black.
     pub const FRONT_ONLY: Self = Self(2);
+    /// Bits of the [`FootCode`] of the triangle a surfel stands for.
+    const FOOT: Self = Self((FootCode::MAX as u16) << FOOT_SHIFT);
     /// All bits that have a meaning.
-    pub const KNOWN: Self = Self(Self::ISOTROPIC.0 | Self::FRONT_ONLY.0);
+    pub const KNOWN: Self = Self(Self::ISOTROPIC.0 | Self::FRONT_ONLY.0 | Self::FOOT.0);
 
     /// Whether all bits of `other` are set.
     #[must_use]
@@ -37,8 +42,9 @@ impl SurfelFlags {
 /// data, the record of sorting and of streams.
 ///
 /// Two radii do their work: `radius` covers the piece of surface the surfel stands for, so that near disks leave
-/// no holes; `area` is the true area, so that energy is exact however much disks overlap. A surfel may know the rectangle it
-/// stands for ([`Surfel::with_tile`]): its edges follow from its area and from `radius`, half its diagonal.
+/// no holes; `area` is the true area, so that energy is exact however much disks overlap. A surfel may know the rectangle or triangle it
+/// stands for ([`Surfel::with_tile`], [`Surfel::with_triangle`]): its edges follow from its area and from `radius`, the distance of its
+/// farthest corner.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Surfel {
@@ -49,14 +55,14 @@ pub struct Surfel {
     /// Area of the surface the surfel stands for, in scene units squared, above 0. An isotropic surfel shows half of it
     /// to every direction (the mean over orientations of a two-sided disk).
     pub area: f32,
-    /// Bits 0–23: the unit normal ([`pbgi_math::encode_octahedral24`]). Bits 24–31: direction of the long edge of the
-    /// rectangle the surfel stands for ([`TileCode`]), 0 where none is known.
+    /// Bits 0–23: the unit normal ([`pbgi_math::encode_octahedral24`]). Bits 24–31: direction of the longest edge of the
+    /// rectangle or triangle the surfel stands for ([`TileCode`]), 0 where none is known.
     pub orientation: u32,
     /// Radiance leaving the front, W·m⁻²·sr⁻¹, linear Rec. 709.
     pub radiance: [f32; 3],
     /// Diffuse albedo, 0..=1, linear Rec. 709.
     pub albedo: [f16; 3],
-    /// See [`SurfelFlags`].
+    /// See [`SurfelFlags`]; bits 8–14 tell of triangles ([`FootCode`]).
     pub flags: SurfelFlags,
 }
 
@@ -100,7 +106,21 @@ impl Surfel {
     pub fn with_tile(mut self, long_edge: Vec3, aspect: f32) -> Self {
         let code = TileCode::from_direction(self.normal(), long_edge);
         self.orientation = self.orientation & NORMAL_BITS | u32::from(code.0) << TILE_SHIFT;
+        self.flags.0 &= !SurfelFlags::FOOT.0;
         self.radius = 0.5 * (self.area * (aspect + 1.0 / aspect)).sqrt();
+        self
+    }
+
+    /// The same, standing for a triangle of the surfel's area around its center, whose longest edge is `base`; its third corner lies to the left of
+    /// that, seen against the normal, over the share `foot` of it. The radius becomes the distance of the farthest corner.
+    #[must_use]
+    pub fn with_triangle(mut self, base: Vec3, foot: f32) -> Self {
+        let code = TileCode::from_sense(self.normal(), base);
+        let foot = FootCode::from_share(foot);
+        self.orientation = self.orientation & NORMAL_BITS | u32::from(code.0) << TILE_SHIFT;
+        let foot_bits = u16::from(foot.0) << FOOT_SHIFT;
+        self.flags.0 = self.flags.0 & !SurfelFlags::FOOT.0 | foot_bits;
+        self.radius = triangle_radius(base.length(), self.area, foot.share());
         self
     }
 
@@ -118,7 +138,7 @@ impl Surfel {
         decode_octahedral24(self.orientation)
     }
 
-    /// Direction of the long edge of the surfel's rectangle, if one is known.
+    /// Direction of the longest edge of the surfel's rectangle or triangle, if one is known.
     #[must_use]
     #[inline]
     pub fn tile(&self) -> TileCode {
@@ -126,14 +146,44 @@ impl Surfel {
         if self.is_isotropic() { TileCode::NONE } else { code }
     }
 
+    /// Where the foot of the height of the surfel's triangle is, if it stands for one.
+    #[must_use]
+    #[inline]
+    pub fn foot(&self) -> FootCode {
+        let code = FootCode((self.flags.0 >> FOOT_SHIFT) as u8 & FootCode::MAX);
+        if self.tile().is_known() { code } else { FootCode::NONE }
+    }
+
+    /// Half the long edge of the surfel's rectangle, or half the longest of its triangle; 0 if neither is known.
+    #[must_use]
+    pub fn half_long(&self) -> f32 {
+        match (self.tile().is_known(), self.foot()) {
+            (false, _) => 0.0,
+            (true, FootCode::NONE) => rectangle_half_edges(self.radius, self.area)[0],
+            (true, foot) => 0.5 * triangle_base(self.radius, self.area, foot.share()),
+        }
+    }
+
     /// Half the long and half the short edge of the rectangle, as vectors, if one is known.
     #[must_use]
     pub fn half_edges(&self) -> Option<[Vec3; 2]> {
         let tile = self.tile();
-        tile.is_known().then(|| {
+        (tile.is_known() && !self.foot().is_known()).then(|| {
             let [long, short] = rectangle_half_edges(self.radius, self.area);
             let [tangent, bitangent] = tile.edges(self.normal());
             [tangent * long, bitangent * short]
+        })
+    }
+
+    /// Corners of the triangle from its center, if one is known, counterclockwise seen against the normal.
+    #[must_use]
+    pub fn corners(&self) -> Option<[Vec3; 3]> {
+        let foot = self.foot();
+        foot.is_known().then(|| {
+            let base = 2.0 * self.half_long();
+            let [along, left] = self.tile().axes(self.normal());
+            triangle_corners(base, 2.0 * self.area / base, foot.share())
+                .map(|[x, y]| along * x + left * y)
         })
     }
 
@@ -164,6 +214,9 @@ const NORMAL_BITS: u32 = 0xff_ffff;
 /// Place of the tile's code in [`Surfel::orientation`].
 const TILE_SHIFT: u32 = 24;
 
+/// Place of the foot's code in [`Surfel::flags`].
+const FOOT_SHIFT: u32 = 8;
+
 const _: () = assert!(size_of::<Surfel>() == 44 && align_of::<Surfel>() == 4);
 
 #[cfg(test)]
@@ -186,7 +239,23 @@ mod tests {
             assert!((long + short).length() <= surfel.radius * 1.00001);
             assert!(long.normalize().dot(direction.normalize()).abs() > 0.9999);
         }
-        let round = plain.with_tile(direction, 2.0).with_flags(SurfelFlags::ISOTROPIC);
-        assert_eq!(round.half_edges(), None);
+        for (height, foot) in [(0.8, 0.5), (0.1, 0.0), (0.3, 0.75)] {
+            let base = direction.normalize() * (2.0f32 * 0.02 / height).sqrt();
+            let surfel = plain.with_tile(direction, 2.0).with_triangle(base, foot);
+            assert_eq!((surfel.normal(), surfel.area), (plain.normal(), plain.area));
+            assert_eq!(surfel.half_edges(), None);
+            let [a, b, c] = surfel.corners().unwrap();
+            assert!((2.0 * surfel.half_long() / base.length() - 1.0).abs() < 1e-3);
+            assert!((b - a - base).length() < 0.014 * base.length());
+            let left = normal.cross(base);
+            let apex = base * foot + left * height;
+            assert!((c - a - apex).length() < 0.02 * base.length(), "{} {apex}", c - a);
+            assert!((a + b + c).length() < 1e-4);
+            let reach = [a, b, c].map(Vec3::length).into_iter().fold(0.0, f32::max);
+            assert!((reach / surfel.radius - 1.0).abs() < 1e-4);
+            assert!(surfel.with_tile(direction, 2.0).corners().is_none());
+        }
+        let round = plain.with_triangle(direction, 0.5).with_flags(SurfelFlags::ISOTROPIC);
+        assert_eq!((round.half_edges(), round.corners(), round.half_long()), (None, None, 0.0));
     }
 }

@@ -438,7 +438,11 @@ fn reach_along(surfel: &LeafSurfel, direction: Vec3, tilt: f32) -> f32 {
     if surfel.isotropic {
         return surfel.radius;
     }
-    if surfel.tile.is_known() {
+    if surfel.is_triangle() {
+        let [a, b, c] = surfel.corners();
+        return a.dot(direction).max(b.dot(direction)).max(c.dot(direction));
+    }
+    if surfel.is_rectangle() {
         let [u, v] = surfel.tile.edges(surfel.normal);
         let [a, b] = surfel.half_edges();
         return a * u.dot(direction).abs() + b * v.dot(direction).abs();
@@ -447,7 +451,7 @@ fn reach_along(surfel: &LeafSurfel, direction: Vec3, tilt: f32) -> f32 {
     surfel.radius * (1.0 - tilt * tilt).max(0.0).sqrt()
 }
 
-/// Whether a surfel is a rectangle parallel to a receiver with this normal, and faces the same way.
+/// Whether a surfel is a rectangle or triangle parallel to a receiver with this normal, and faces the same way.
 #[must_use]
 #[inline(always)]
 pub fn is_parallel_tile(surfel: &LeafSurfel, normal: Vec3) -> bool {
@@ -463,11 +467,10 @@ const FOLD_COSINE: f32 = 0.5;
 fn is_own_surface(surfel: &LeafSurfel, receiver: &CutReceiver) -> bool {
     let tilt = surfel.normal.dot(receiver.normal);
     let height = surfel.center.dot(receiver.normal);
-    // A surface does not face its own front: what does hangs over the receiver, however low. Nor does a flat one stand over itself, or
-    // meet itself at a right angle: such rectangles are another one, like the next slat, or the wall on a floor.
+    let depth = surfel.center.dot(surfel.normal);
+    // A surface does not face its own front: what does hangs over the receiver, however low.
     let is_facing = !surfel.isotropic && tilt < 0.0;
-    let is_other = surfel.tile.is_known() && !(OWN_SURFACE_COSINE..PARALLEL_COSINE).contains(&tilt);
-    let share = if is_facing || is_other {
+    let share = if is_facing || is_other_tile(surfel, tilt, depth) {
         OTHER_BIAS.min(receiver.surfel_bias)
     } else {
         receiver.surfel_bias
@@ -476,24 +479,21 @@ fn is_own_surface(surfel: &LeafSurfel, receiver: &CutReceiver) -> bool {
     if height <= least && height + reach_along(surfel, receiver.normal, tilt) <= least {
         return true;
     }
-    // Disks reach over the edges of their surface, and so do the rectangles of slivers. Where one of a solid thing is seen from behind and has
+    // Disks reach over the edges of their surface. Where one of a solid thing is seen from behind and has
     // its middle below the tangent plane, the receiver's own surface lies before it.
     // Where one of a sheet's other side is seen from its front, a fold of the receiver's own sheet does.
     let is_fold = surfel.front_only && tilt < -FOLD_COSINE;
-    let is_behind = !surfel.front_only && surfel.normal.dot(surfel.center) > 0.0;
-    height <= 0.0 && !surfel.isotropic && (is_fold || is_behind) && !is_exact(surfel)
+    let is_behind = !surfel.front_only && depth > 0.0;
+    let is_disk = !surfel.isotropic && !surfel.tile.is_known();
+    height <= 0.0 && is_disk && (is_fold || is_behind)
 }
 
-/// Long over short edge beyond which a rectangle stands for a sliver of another shape.
-const EXACT_ASPECT: f32 = 1.75;
-
-/// Whether a surfel is drawn as it is: a rectangle that is a whole micropolygon.
+/// Whether a surfel is a rectangle or triangle of another surface than the receiver's. It is drawn as it is, so that what stands over the
+/// receiver hides it, but for its own piece of surface under a normal that is interpolated, and for neighbors that bulge away from it.
 #[inline(always)]
-fn is_exact(surfel: &LeafSurfel) -> bool {
-    surfel.tile.is_known() && {
-        let [long, short] = surfel.half_edges();
-        long <= EXACT_ASPECT * short
-    }
+fn is_other_tile(surfel: &LeafSurfel, tilt: f32, depth: f32) -> bool {
+    let is_alike = (OWN_SURFACE_COSINE..PARALLEL_COSINE).contains(&tilt);
+    surfel.tile.is_known() && !(is_alike && depth > -OTHER_BIAS * surfel.radius)
 }
 
 #[inline(always)]

@@ -3,7 +3,10 @@
 use crate::bits::{SLACK_BYTES, index_bits, read_bits};
 use crate::surfel::{RADIANCE, SIZE_RATIO, decode_albedo};
 use crate::{Channels, FormatError, LeafSurfel, SurfelLayout, read_u16, read_u32};
-use pbgi_math::{Aabb, Frame, TileCode, Vec3, decode_octahedral20, decode_octahedral24};
+use pbgi_math::{
+    Aabb, FootCode, Frame, TileCode, Vec3, decode_octahedral20, decode_octahedral24,
+    triangle_radius,
+};
 
 /// Codes of MiniFloat have these bits; the one above is a flag.
 pub(crate) const CODE_MASK: u32 = 0x7fff;
@@ -58,6 +61,12 @@ impl PositionFrame {
         self.axes[axis].dot(position - self.origin) + self.half[axis]
     }
 }
+
+/// Stands for the length of a list of feet where each surfel has its own code.
+pub(crate) const FEET_UNLISTED: u8 = u8::MAX;
+
+/// Bits of a [`FootCode`].
+pub(crate) const FOOT_BITS: u32 = 7;
 
 /// How radii and areas of a leaf are stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -147,6 +156,9 @@ pub struct LeafView<'a> {
     orientation: OrientationMode,
     orientations: List,
     orientation_width: u32,
+    /// Empty where no surfel is a triangle, and where each has its own code.
+    feet: List,
+    foot_width: u32,
     size: SizeMode,
     sizes: List,
     size_width: u32,
@@ -164,6 +176,7 @@ struct Shape {
     end: usize,
     normal: Vec3,
     tile: TileCode,
+    foot: FootCode,
     radius: f32,
     half_long: f32,
     area: f32,
@@ -263,6 +276,8 @@ impl<'a> LeafView<'a> {
             },
             orientations: List::default(),
             orientation_width: 0,
+            feet: List::default(),
+            foot_width: 0,
             size: match control >> 14 {
                 0 => SizeMode::Listed,
                 1 => SizeMode::Area,
@@ -285,6 +300,7 @@ impl<'a> LeafView<'a> {
         leaf.records = fields.at * 8;
         leaf.stride = leaf.position_width.iter().sum::<u32>()
             + leaf.orientation_width
+            + leaf.foot_width
             + leaf.size_width
             + leaf.radiance.bits()
             + leaf.albedo.bits();
@@ -326,6 +342,25 @@ impl<'a> LeafView<'a> {
             OrientationMode::Narrow => 20,
             OrientationMode::Wide => 32,
         };
+        if self.orientation == OrientationMode::Narrow {
+            return;
+        }
+        let count = fields.u8();
+        if count == u32::from(FEET_UNLISTED) {
+            self.foot_width = FOOT_BITS;
+        } else {
+            self.feet = fields.list(count, 1);
+            self.foot_width = index_bits(count as usize);
+        }
+    }
+
+    #[inline(always)]
+    fn foot(&self, number: u32) -> FootCode {
+        let code = match self.feet.count {
+            0 => number as u8,
+            _ => self.page[self.feet.place(number, 1)],
+        };
+        FootCode(code & FootCode::MAX)
     }
 
     #[inline(always)]
@@ -420,6 +455,7 @@ impl<'a> LeafView<'a> {
             number
         };
         let (normal, tile) = self.orientation(take(self.orientation_width));
+        let foot = self.foot(if self.foot_width > 0 { take(self.foot_width) } else { 0 });
         let sizes = match self.size {
             SizeMode::Both => [take(self.radius.width), take(self.area.width)],
             _ => [take(self.size_width), 0],
@@ -432,13 +468,16 @@ impl<'a> LeafView<'a> {
             _ => self.layout.radius.decode(radius_code as u16),
         };
         let tile = if isotropic { TileCode::NONE } else { tile };
+        let foot = if tile.is_known() { foot } else { FootCode::NONE };
         let (mut radius, mut half_long) = (size, 0.0);
-        if tile.is_known() {
+        if foot.is_known() {
+            (radius, half_long) = (triangle_radius(2.0 * size, area, foot.share()), size);
+        } else if tile.is_known() {
             let half_short = 0.25 * area / size;
             (radius, half_long) = ((size * size + half_short * half_short).sqrt(), size);
         }
         let front_only = area_code & !CODE_MASK != 0;
-        Shape { end: at, normal, tile, radius, half_long, area, isotropic, front_only }
+        Shape { end: at, normal, tile, foot, radius, half_long, area, isotropic, front_only }
     }
 
     /// Radius of the covering disk and true area of surfel `index`.
@@ -461,8 +500,8 @@ impl<'a> LeafView<'a> {
     #[must_use]
     #[inline(always)]
     pub fn surfel(&self, index: u32) -> LeafSurfel {
-        let Shape { end: mut at, normal, tile, radius, half_long, area, isotropic, front_only } =
-            self.shape(index);
+        let shape = self.shape(index);
+        let mut at = shape.end;
         let mut take = |width: u32| {
             let number = read_bits(self.page, at, width);
             at += width as usize;
@@ -472,15 +511,16 @@ impl<'a> LeafView<'a> {
         let albedo = self.albedo.width.map(&mut take);
         LeafSurfel {
             center: self.center(index),
-            normal,
-            radius,
-            area,
-            tile,
-            half_long,
+            normal: shape.normal,
+            radius: shape.radius,
+            area: shape.area,
+            tile: shape.tile,
+            foot: shape.foot,
+            half_long: shape.half_long,
             radiance: self.radiance(radiance),
             albedo: self.albedo(albedo),
-            isotropic,
-            front_only,
+            isotropic: shape.isotropic,
+            front_only: shape.front_only,
         }
     }
 

@@ -1,15 +1,17 @@
 //! How a leaf is stored: for each kind of field what its surfels share, and the least bits for what they do not.
 
 use crate::bits::{BitWriter, PUSH_BITS_MAX, Word, index_bits, number_bits};
-use crate::leaf::{CODE_MASK, OrientationMode, PositionFrame, SizeMode, WIDTH_BITS};
+use crate::leaf::{
+    CODE_MASK, FEET_UNLISTED, FOOT_BITS, OrientationMode, PositionFrame, SizeMode, WIDTH_BITS,
+};
 use crate::surfel::{RADIANCE, SIZE_RATIO, encode_albedo};
 use crate::{Channels, MiniFloat, SurfelLayout};
-use pbgi_math::{Aabb, Vec3, narrow_octahedral24};
+use pbgi_math::{Aabb, FootCode, Vec3, narrow_octahedral24};
 
 /// Most bits of a coordinate.
 const POSITION_WIDTH_MAX: u32 = 15;
 
-/// Steps of a coordinate per half edge: of the shortest edge of the rectangles, and of the squares of the mean and of the
+/// Steps of a coordinate per half edge: of the shortest edge of the rectangles and triangles, and of the squares of the mean and of the
 /// least area.
 struct StepsPerEdge {
     tile: f32,
@@ -25,6 +27,9 @@ const MIXED: StepsPerEdge = StepsPerEdge { tile: 256.0, mean: 64.0, least: 32.0 
 
 /// Steps along a plane, where neighbors overlap.
 const ALONG: StepsPerEdge = StepsPerEdge { tile: 64.0, mean: 32.0, least: 16.0 };
+
+/// Heights of triangles below this share of their longest edge count as that.
+const LOW_HEIGHT: f32 = 0.25;
 
 /// Share of a step below which coordinates count as one.
 const SHARED_STEP: f32 = 0.25;
@@ -70,9 +75,11 @@ pub enum LeafRounding {
 pub struct SurfelFields {
     /// Center relative to the file's origin.
     pub center: Vec3,
-    /// Bits 0–23: the normal, octahedral; bits 24–31: the TileCode of the long edge, or 0.
+    /// Bits 0–23: the normal, octahedral; bits 24–31: the TileCode of the longest edge, or 0.
     pub orientation: u32,
-    /// Radius of the covering disk, or half the long edge where the TileCode is not 0; above 0.
+    /// Where the foot of a triangle's height is; none of a rectangle or disk.
+    pub foot: FootCode,
+    /// Radius of the covering disk, or half the longest edge where the TileCode is not 0; above 0.
     pub size: f32,
     /// True area, above 0.
     pub area: f32,
@@ -91,6 +98,7 @@ pub struct SurfelFields {
 struct Codes {
     center: Vec3,
     orientation: u32,
+    foot: u8,
     /// Size in bits 0–14, area in bits 16–30, with their flags above.
     sizes: u32,
     radiance: [u32; 3],
@@ -318,6 +326,8 @@ impl Above {
 struct Form {
     axes: [Axis; 3],
     orientation: OrientationMode,
+    /// Bits of a surfel's foot that is not listed.
+    foot_width: u32,
     size: SizeMode,
     radius: Below,
     area: Below,
@@ -331,8 +341,9 @@ struct Form {
 pub struct LeafWriter {
     rounding: LeafRounding,
     surfels: Vec<Codes>,
-    /// Least half edge of rectangles.
+    /// Least half edge of rectangles and triangles.
     tile_edge: Option<f32>,
+    any_triangle: bool,
     area_sum: f32,
     any_isotropic: bool,
     /// Least and largest square of the size over the area.
@@ -341,6 +352,7 @@ pub struct LeafWriter {
     size_span: Span,
     area_span: Span,
     orientations: Listed,
+    feet: Listed,
     sizes: Listed,
     albedos: Listed,
     /// Coordinates of the leaf under way.
@@ -362,8 +374,14 @@ impl LeafWriter {
     #[inline]
     pub fn push(&mut self, surfel: &SurfelFields, layout: &SurfelLayout) {
         let is_tile = surfel.orientation >> 24 != 0 && !surfel.isotropic;
+        let foot = if is_tile { surfel.foot } else { FootCode::NONE };
+        self.any_triangle |= foot.is_known();
         if is_tile {
-            let short = 0.25 * surfel.area / surfel.size;
+            let half = surfel.area / surfel.size;
+            let short = match foot {
+                FootCode::NONE => 0.25 * half,
+                _ => (0.5 * half).max(LOW_HEIGHT * surfel.size),
+            };
             self.tile_edge = Some(self.tile_edge.map_or(short, |edge| edge.min(short)));
         }
         self.area_sum += surfel.area;
@@ -379,6 +397,7 @@ impl LeafWriter {
         let mut codes = Codes {
             center: surfel.center,
             orientation: if surfel.isotropic { 0 } else { surfel.orientation },
+            foot: foot.0,
             sizes: size | area << 16 | flags,
             ..Codes::default()
         };
@@ -415,6 +434,7 @@ impl LeafWriter {
         if is_plane || orientation == OrientationMode::Listed {
             self.orientations.write(4, out);
         }
+        let foot_width = self.write_feet(orientation, out);
         for (axis, stored) in axes.iter().enumerate() {
             let is_height = is_plane && axis == 2;
             if stored.width == 0 || is_height {
@@ -427,7 +447,7 @@ impl LeafWriter {
         self.write_sizes(size, &radius, &area, out);
         let radiance = self.write_radiance(layout, out);
         let albedo = self.write_albedo(layout, out);
-        let form = Form { axes, orientation, size, radius, area, radiance, albedo };
+        let form = Form { axes, orientation, foot_width, size, radius, area, radiance, albedo };
         let record_bits: u32 = self.record(0, &form).iter().map(|word| word.width).sum();
         let mut bits = BitWriter::new(out, count * record_bits as usize);
         for index in 0..count {
@@ -458,6 +478,10 @@ impl LeafWriter {
             OrientationMode::Narrow => word.with(narrow_octahedral24(surfel.orientation), 20),
             OrientationMode::Wide => word.with(surfel.orientation, 32),
         };
+        let turn = match form.foot_width {
+            0 if self.any_triangle => self.feet.push_index(index, turn),
+            width => turn.with(surfel.foot.into(), width),
+        };
         let sizes = match form.size {
             SizeMode::Listed => self.sizes.push_index(index, word),
             SizeMode::Area => word.with(area.steps(area_code(surfel)), area.width),
@@ -478,7 +502,25 @@ impl LeafWriter {
         self.surfels.clear();
         (self.tile_edge, self.ratio, self.area_sum) = (None, None, 0.0);
         (self.size_span, self.area_span) = (Span::default(), Span::default());
-        self.any_isotropic = false;
+        (self.any_isotropic, self.any_triangle) = (false, false);
+    }
+
+    /// Lists the feet of triangles, or says that each surfel has its own; returns the bits of those.
+    fn write_feet(&mut self, orientation: OrientationMode, out: &mut Vec<u8>) -> u32 {
+        if orientation == OrientationMode::Narrow {
+            return 0;
+        }
+        let bits_max = FOOT_BITS * self.surfels.len() as u32;
+        let all = self.surfels.iter().map(|s| u32::from(s.foot));
+        if !self.any_triangle {
+            out.push(0);
+        } else if self.feet.collect(all, 1, bits_max) {
+            self.feet.write(1, out);
+        } else {
+            out.push(FEET_UNLISTED);
+            return FOOT_BITS;
+        }
+        0
     }
 
     /// Finds all coordinates, and their widths: steps small against the surfels.
@@ -838,11 +880,16 @@ mod tests {
         surfels[6].orientation = encode_octahedral24(Vec3::X) | 1 << 24;
         surfels[7].radiance = [0.0, 0.0, 7.0];
         surfels[8].radiance = [1e4, 1e-4, 1.0];
+        surfels[2].foot = FootCode(9);
+        surfels[3].foot = FootCode(9);
+        surfels[7].foot = FootCode(1);
+        surfels[8].foot = FootCode(127);
         let stored = store(&surfels, &LAYOUT);
         for (i, (surfel, back)) in surfels.iter().zip(&stored).enumerate() {
             assert_eq!((back.isotropic, back.front_only), (surfel.isotropic, surfel.front_only));
             let tile = if back.isotropic { 0 } else { surfel.orientation >> 24 };
             assert_eq!(back.tile, TileCode(tile as u8), "{i}");
+            assert_eq!(back.foot, if tile == 0 { FootCode::NONE } else { surfel.foot }, "{i}");
             assert!((back.area / surfel.area - 1.0).abs() < 1e-3);
             let size = if tile == 0 { back.radius } else { back.half_long };
             assert!((size / surfel.size - 1.0).abs() < 1e-3, "{i}");
@@ -852,6 +899,39 @@ mod tests {
             }
         }
         assert_eq!(stored[7].radiance[..2], [0.0; 2]);
+    }
+
+    #[test]
+    fn triangles_keep_their_corners() {
+        let normal = decode_octahedral24(encode_octahedral24(Vec3::new(0.6, 0.0, 0.8)));
+        // One shape beside rectangles, two, and more than are worth a list.
+        for kinds in [1u8, 2, 30] {
+            let mut surfels = wall();
+            for (i, surfel) in surfels.iter_mut().enumerate().skip(2) {
+                surfel.foot = FootCode(1 + (i as u8 % kinds) * 4);
+                surfel.orientation = encode_octahedral24(normal) | 33 << 24;
+            }
+            for (surfel, back) in surfels.iter().zip(store(&surfels, &LAYOUT)) {
+                assert_eq!(back.foot, surfel.foot);
+                assert_eq!(
+                    (back.is_triangle(), back.is_rectangle()),
+                    match surfel.foot {
+                        FootCode::NONE => (false, true),
+                        _ => (true, false),
+                    }
+                );
+                if back.is_triangle() {
+                    let [a, b, c] = back.corners();
+                    assert!(((b - a).length() / (2.0 * surfel.size) - 1.0).abs() < 1e-3);
+                    let doubled = (b - a).cross(c - a);
+                    assert!((doubled.dot(normal) / (2.0 * surfel.area) - 1.0).abs() < 2e-3);
+                    let foot = (c - a).dot(b - a) / (b - a).length_squared();
+                    assert!((foot - surfel.foot.share()).abs() < 1e-3);
+                    let reach = [a, b, c].map(Vec3::length).into_iter().fold(0.0, f32::max);
+                    assert!((reach / back.radius - 1.0).abs() < 1e-3);
+                }
+            }
+        }
     }
 
     #[test]

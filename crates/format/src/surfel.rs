@@ -1,7 +1,7 @@
 //! A surfel as a leaf stores it, and the codes of its colors.
 
 use crate::{Channels, MiniFloat};
-use pbgi_math::{TileCode, Vec3};
+use pbgi_math::{FootCode, TileCode, Vec3, triangle_corners};
 
 /// A decoded surfel of a leaf.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -10,13 +10,15 @@ pub struct LeafSurfel {
     pub center: Vec3,
     /// Unit normal; meaningless when isotropic.
     pub normal: Vec3,
-    /// Radius of the covering disk; half the diagonal of a rectangle.
+    /// Radius of the covering disk: the distance of the farthest corner of a rectangle or triangle.
     pub radius: f32,
     /// True area.
     pub area: f32,
-    /// Direction of the long edge of the rectangle the surfel stands for, if one is known.
+    /// Direction of the longest edge of the rectangle or triangle the surfel stands for, if one is known.
     pub tile: TileCode,
-    /// Half the long edge; 0 where no rectangle is known.
+    /// Where the foot of a triangle's height is; none of a rectangle.
+    pub foot: FootCode,
+    /// Half the longest edge; 0 where none is known.
     pub half_long: f32,
     /// Radiance of the front, W·m⁻²·sr⁻¹.
     pub radiance: [f32; 3],
@@ -29,6 +31,29 @@ pub struct LeafSurfel {
 }
 
 impl LeafSurfel {
+    /// Whether it stands for a rectangle.
+    #[must_use]
+    #[inline(always)]
+    pub fn is_rectangle(&self) -> bool {
+        self.tile.is_known() && !self.foot.is_known()
+    }
+
+    /// Whether it stands for a triangle.
+    #[must_use]
+    #[inline(always)]
+    pub fn is_triangle(&self) -> bool {
+        self.foot.is_known()
+    }
+
+    /// Corners of a known triangle from its center, counterclockwise seen against the normal.
+    #[must_use]
+    #[inline(always)]
+    pub fn corners(&self) -> [Vec3; 3] {
+        let [along, left] = self.tile.axes(self.normal);
+        triangle_corners(2.0 * self.half_long, self.area / self.half_long, self.foot.share())
+            .map(|[x, y]| along * x + left * y)
+    }
+
     /// Half the long and half the short edge of a known rectangle.
     #[must_use]
     #[inline(always)]

@@ -29,7 +29,9 @@ pub use section::{central_section_area, section_area};
 pub use sh::{SH_COUNT, Sh9, clamped_cosine_sh, evaluate_sh_basis};
 pub use silhouette::box_silhouette;
 pub use solid_angle::{patch_solid_angle_factor, sphere_sin2_for_solid_angle, sphere_solid_angle};
-pub use tile::{TileCode, rectangle_half_edges};
+pub use tile::{
+    FootCode, TileCode, rectangle_half_edges, triangle_base, triangle_corners, triangle_radius,
+};
 
 /// Relative luminance of linear Rec. 709 RGB.
 #[must_use]

@@ -98,7 +98,10 @@ fn surfel_of(stored: &LeafSurfel) -> Surfel {
     let mut surfel = Surfel::new(stored.center, stored.normal, stored.radius, stored.area)
         .with_radiance(stored.radiance)
         .with_albedo(stored.albedo);
-    if stored.tile.is_known() {
+    if stored.is_triangle() {
+        let [base, _] = stored.tile.axes(stored.normal);
+        surfel = surfel.with_triangle(base * (2.0 * stored.half_long), stored.foot.share());
+    } else if stored.is_rectangle() {
         let [long_edge, _] = stored.tile.edges(stored.normal);
         let aspect = 4.0 * stored.half_long * stored.half_long / stored.area;
         surfel = surfel.with_tile(long_edge, aspect.max(1.0));
@@ -124,7 +127,8 @@ mod tests {
             radius: surfel.radius,
             area: surfel.area,
             tile: surfel.tile(),
-            half_long: surfel.half_edges().map_or(0.0, |[long, _]| long.length()),
+            foot: surfel.foot(),
+            half_long: surfel.half_long(),
             radiance: surfel.radiance,
             albedo: surfel.albedo_rgb(),
             isotropic: surfel.is_isotropic(),
@@ -133,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn surfels_come_back_with_rectangles_and_flags() {
+    fn surfels_come_back_with_their_outlines_and_flags() {
         let normal = Vec3::new(0.3, -0.8, 0.5).normalize();
         let disk = Surfel::new(Vec3::new(1.0, 2.0, 3.0), normal, 0.3, 0.1)
             .with_albedo([0.5, 0.25, 1.0])
@@ -142,7 +146,8 @@ mod tests {
         let square = disk.with_tile(normal.cross(Vec3::X), 1.0);
         let sheet = oblong.with_flags(SurfelFlags::FRONT_ONLY);
         let point = disk.with_flags(SurfelFlags::ISOTROPIC);
-        for surfel in [disk, oblong, square, sheet, point] {
+        let triangle = sheet.with_triangle(normal.cross(Vec3::X).normalize() * 0.6, 0.3);
+        for surfel in [disk, oblong, square, sheet, triangle, point] {
             let found = surfel_of(&stored(&surfel));
             assert!((found.radius / surfel.radius - 1.0).abs() < 1e-4, "{found:?} {surfel:?}");
             assert_eq!(Surfel { radius: surfel.radius, ..found }, surfel);

@@ -18,7 +18,7 @@ pub use cube::{CubeRaster, Footprint, Ink, SHAPES_MAX, TexelChunk};
 pub use lanes::{Lanes, SAMPLES};
 pub use lobe::{LobeInk, LobeRaster};
 pub use samples::Veil;
-pub use shape::{Disk, Section, Shape, Tile};
+pub use shape::{Disk, Section, Shape, Tile, Triangle};
 pub use simd::{SimdLevel, WideKernel, run_wide};
 pub use table::{CubeRasterTable, LANES};
 pub use window::{Window, WindowRaster};

@@ -1,4 +1,4 @@
-//! What is drawn: pieces of planes, cut out by boxes, circles or rectangles, and which directions meet them.
+//! What is drawn: pieces of planes, cut out by boxes, circles, rectangles or triangles, and which directions meet them.
 
 use crate::lanes::Lanes;
 use pbgi_math::{Aabb, CubeFace, Vec3};
@@ -176,5 +176,57 @@ impl Shape for Tile {
         let near2 = self.distance_min * self.distance_min;
         let far_enough = w.mul(w).mul(L::splat(near2)).le(length2(x, y, z));
         L::bits(L::and(on_tile, far_enough))
+    }
+}
+
+/// A triangle, relative to the receiver.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Triangle {
+    /// See [`Shape::inverse`].
+    pub inverse: Vec3,
+    /// Normals, toward its inside, of the planes through its edges and the receiver.
+    pub sides: [Vec3; 3],
+    /// Points of it nearer than this are not there.
+    pub distance_min: f32,
+}
+
+impl Triangle {
+    /// The triangle with these corners, in either order.
+    #[must_use]
+    #[inline(always)]
+    pub fn new(inverse: Vec3, [a, b, c]: [Vec3; 3], distance_min: f32) -> Self {
+        let sides = [a.cross(b), b.cross(c), c.cross(a)];
+        let sign = 1f32.copysign(sides[0].dot(c));
+        Self { inverse, sides: sides.map(|side| side * sign), distance_min }
+    }
+}
+
+impl Shape for Triangle {
+    #[inline(always)]
+    fn inverse(&self) -> Vec3 {
+        self.inverse
+    }
+
+    #[inline(always)]
+    fn turned(&self, face: CubeFace) -> Self {
+        let [a, b, c] = self.sides;
+        Self {
+            inverse: turn(self.inverse, face),
+            sides: [turn(a, face), turn(b, face), turn(c, face)],
+            ..*self
+        }
+    }
+
+    /// The ray along `D` passes inside of all three planes, and where it is hit, it is far enough: `|D|² ≥ d² w²`.
+    #[inline(always)]
+    fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> u16 {
+        let [x, y, z] = direction;
+        let zero = L::splat(0.0);
+        let [a, b, c] = self.sides;
+        let within = L::and(zero.le(along(direction, a)), zero.le(along(direction, b)));
+        let near2 = self.distance_min * self.distance_min;
+        let far_enough = w.mul(w).mul(L::splat(near2)).le(length2(x, y, z));
+        let in_front = L::and(zero.le(along(direction, c)), zero.le(w));
+        L::bits(L::and(L::and(within, in_front), far_enough))
     }
 }

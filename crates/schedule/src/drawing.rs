@@ -2,8 +2,8 @@
 
 use pbgi_cut::{Cluster, OTHER_BIAS, OWN_SURFACE_COSINE, Piece, SurfelSeen, is_parallel_tile};
 use pbgi_format::LeafSurfel;
-use pbgi_math::{Vec3, patch_solid_angle_factor};
-use pbgi_raster::{Disk, Ink, Section, Tile, Veil};
+use pbgi_math::{Aabb, Vec3, patch_solid_angle_factor};
+use pbgi_raster::{Disk, Ink, Section, Shape, Tile, Triangle, Veil};
 use std::f32::consts::FRAC_1_PI;
 
 /// Disks that lie along the receiver's own surface are not hit nearer than this many radii: the
@@ -15,11 +15,15 @@ const OWN_SURFACE_RADII: f32 = 2.0;
 /// where it is rough or scanned with noise they are near the plane.
 const OTHER_SURFACE_HEIGHT: f32 = 0.25;
 
-/// Least distance at which a disk is hit, so that a surface does not shadow itself.
+/// Least distance at which a surfel is hit, so that a surface does not shadow itself. Rectangles and triangles that are seen from the front are
+/// where they are.
 #[inline(always)]
 pub(crate) fn least_distance(surfel: &LeafSurfel, normal: Vec3) -> f32 {
     let is_alike = !surfel.isotropic && surfel.normal.dot(normal) > OWN_SURFACE_COSINE;
     let (height, depth) = (normal.dot(surfel.center), surfel.normal.dot(surfel.center));
+    if surfel.tile.is_known() && depth < 0.0 {
+        return 0.0;
+    }
     let least = if is_parallel_tile(surfel, normal) { OTHER_BIAS } else { OTHER_SURFACE_HEIGHT };
     let is_other = height.min(depth) > least * surfel.radius;
     if is_alike && !is_other { OWN_SURFACE_RADII * surfel.radius } else { 0.0 }
@@ -71,9 +75,45 @@ pub(crate) fn shown_area(surfel: &LeafSurfel) -> f32 {
     if surfel.isotropic { 0.5 * surfel.area } else { surfel.area }
 }
 
-/// The disk a surfel is drawn as, and its opacity. An isotropic one turns to the receiver.
+/// Draws the shapes of surfels.
+pub(crate) trait SurfelPen {
+    /// Draws a surfel as a shape.
+    fn draw<S: Shape>(&mut self, seen: &SurfelSeen, shape: &S, outline: &Outline);
+}
+
+/// What is known of any shape a surfel is drawn as.
+pub(crate) struct Outline {
+    pub bounds: Aabb,
+    /// Of its front; an isotropic surfel turns to the receiver.
+    pub normal: Vec3,
+    /// Share of the shape that covers.
+    pub opacity: f32,
+    /// How far it reaches from its center, about.
+    pub extent: f32,
+}
+
+/// Draws a surfel as what it stands for, or else as a disk.
 #[inline(always)]
-pub(crate) fn surfel_disk(seen: &SurfelSeen, receiver_normal: Vec3) -> (Disk, Vec3, f32) {
+pub(crate) fn draw_surfel<P: SurfelPen>(seen: &SurfelSeen, receiver_normal: Vec3, pen: &mut P) {
+    let surfel = &seen.surfel;
+    if surfel.is_triangle() {
+        let (triangle, bounds) = surfel_triangle(surfel, receiver_normal);
+        let extent = surfel.radius;
+        pen.draw(seen, &triangle, &Outline { bounds, normal: surfel.normal, opacity: 1.0, extent });
+    } else if surfel.is_rectangle() {
+        let tile = surfel_tile(surfel, receiver_normal);
+        let (bounds, extent) = (tile.bounds(), tile.half[0]);
+        pen.draw(seen, &tile, &Outline { bounds, normal: surfel.normal, opacity: 1.0, extent });
+    } else {
+        let (disk, normal, opacity) = surfel_disk(seen, receiver_normal);
+        let bounds = Aabb::from_disk(disk.center, normal, disk.radius);
+        pen.draw(seen, &disk, &Outline { bounds, normal, opacity, extent: disk.radius });
+    }
+}
+
+/// The disk a surfel is drawn as, its normal, and its opacity. An isotropic one turns to the receiver.
+#[inline(always)]
+fn surfel_disk(seen: &SurfelSeen, receiver_normal: Vec3) -> (Disk, Vec3, f32) {
     let surfel = &seen.surfel;
     let area_true = (shown_area(surfel) * FRAC_1_PI).sqrt();
     let is_sheet = surfel.front_only || surfel.isotropic;
@@ -93,17 +133,28 @@ pub(crate) fn surfel_disk(seen: &SurfelSeen, receiver_normal: Vec3) -> (Disk, Ve
     (Disk { inverse, center: surfel.center, radius, distance_min }, normal, opacity)
 }
 
-/// The rectangle a surfel is drawn as, if it knows one.
+/// The rectangle a surfel is drawn as.
 #[inline(always)]
-pub(crate) fn surfel_tile(seen: &SurfelSeen, receiver_normal: Vec3) -> Option<Tile> {
-    let surfel = &seen.surfel;
-    surfel.tile.is_known().then(|| Tile {
+fn surfel_tile(surfel: &LeafSurfel, receiver_normal: Vec3) -> Tile {
+    Tile {
         inverse: surfel.normal * (1.0 / surfel.normal.dot(surfel.center)),
         center: surfel.center,
         edges: surfel.tile.edges(surfel.normal),
         half: surfel.half_edges().map(|half| half * TILE_RESERVE),
         distance_min: least_distance(surfel, receiver_normal),
-    })
+    }
+}
+
+/// The triangle a surfel is drawn as, and its box.
+#[inline(always)]
+fn surfel_triangle(surfel: &LeafSurfel, receiver_normal: Vec3) -> (Triangle, Aabb) {
+    let [a, b, c] = surfel.corners();
+    let center = surfel.center;
+    let corners = [center + a * TILE_RESERVE, center + b * TILE_RESERVE, center + c * TILE_RESERVE];
+    let inverse = surfel.normal * (1.0 / surfel.normal.dot(center));
+    let [a, b, c] = corners;
+    let bounds = Aabb { min: a.min(b).min(c), max: a.max(b).max(c) };
+    (Triangle::new(inverse, corners, least_distance(surfel, receiver_normal)), bounds)
 }
 
 /// Whether a surfel covers anything: neither seen along its edge nor from behind where only its front is.
@@ -131,7 +182,14 @@ pub(crate) fn surfel_solid_angle(seen: &SurfelSeen) -> f32 {
         return far;
     }
     // Variances of its points along its edges; of a disk, along all directions in it.
-    let (spread2, along2) = if surfel.tile.is_known() {
+    let (spread2, along2) = if surfel.is_triangle() {
+        // Of a triangle: a quarter of the mean over its corners.
+        let [a, b, c] = surfel.corners();
+        let along = |corner: Vec3| corner.dot(surfel.center);
+        let spread = a.length_squared() + b.length_squared() + c.length_squared();
+        let [p, q, r] = [along(a), along(b), along(c)];
+        (spread * (1.0 / 12.0), (p * p + q * q + r * r) * (1.0 / 12.0))
+    } else if surfel.is_rectangle() {
         let [a, b] = surfel.half_edges().map(|half| half * half * (1.0 / 3.0));
         let [u, v] = surfel.tile.edges(surfel.normal).map(|edge| edge.dot(surfel.center));
         (a + b, a * u * u + b * v * v)
@@ -142,11 +200,11 @@ pub(crate) fn surfel_solid_angle(seen: &SurfelSeen) -> f32 {
     far * patch_solid_angle_factor(seen.distance2, spread2, along2)
 }
 
-/// How a surfel, drawn with this normal, opacity and extent, covers and shines.
+/// How a surfel, drawn so, covers and shines.
 #[inline(always)]
-pub(crate) fn surfel_ink(seen: &SurfelSeen, normal: Vec3, opacity: f32, extent: f32) -> Ink {
-    let surfel = &seen.surfel;
-    let distance = seen.distance2.sqrt();
+pub(crate) fn surfel_ink(seen: &SurfelSeen, outline: &Outline) -> Ink {
+    let (surfel, distance) = (&seen.surfel, seen.distance2.sqrt());
+    let Outline { normal, opacity, extent, .. } = *outline;
     let cosine = normal.dot(surfel.center) * (-1.0 / distance);
     Ink {
         veil: Veil { start: 0.0, end: opacity, seed: seen.seed },

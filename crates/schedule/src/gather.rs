@@ -1,6 +1,6 @@
 //! One receiver: its cut drawn into its raster, under the environment, times its BRDF.
 
-use crate::drawing::{blocks, piece_ink, piece_shape, surfel_disk, surfel_ink, surfel_tile};
+use crate::drawing::{Outline, SurfelPen, blocks, draw_surfel, piece_ink, piece_shape, surfel_ink};
 use crate::importance::{CubeThreshold, ImportanceTerms, LobeThreshold, Stakes};
 use crate::lamps::{LampThreshold, LampVisitor, Lamps};
 use crate::light::{PreparedLight, PreparedPeak};
@@ -11,10 +11,10 @@ use pbgi_cut::{
     Cluster, CutReceiver, CutScratch, CutStats, CutVisitor, SurfelSeen, Threshold,
     UniformThreshold, mean_brightness, pick_cut,
 };
-use pbgi_math::{Aabb, Vec3, sphere_sin2_for_solid_angle};
+use pbgi_math::{Vec3, sphere_sin2_for_solid_angle};
 use pbgi_raster::{
-    CubeRaster, CubeRasterTable, Footprint, Ink, Lanes, SHAPES_MAX, Section, SimdLevel, Veil,
-    WideKernel, Window, WindowRaster, run_wide,
+    CubeRaster, CubeRasterTable, Footprint, Ink, Lanes, SHAPES_MAX, Section, Shape, SimdLevel,
+    Veil, WideKernel, Window, WindowRaster, run_wide,
 };
 use pbgi_store::{Reader, StoreError};
 use std::marker::PhantomData;
@@ -390,18 +390,16 @@ impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
         if !blocks(seen) {
             return;
         }
-        if let Some(tile) = surfel_tile(seen, self.normal) {
-            let ink = surfel_ink(seen, seen.surfel.normal, 1.0, tile.half[0]);
-            let bounds = tile.bounds();
-            let footprint = self.raster.footprint(bounds.min, bounds.max);
-            self.raster.draw::<L, _>(&[(tile, ink)], &footprint, tile.center);
-            return;
-        }
-        let (disk, normal, opacity) = surfel_disk(seen, self.normal);
-        let ink = surfel_ink(seen, normal, opacity, disk.radius);
-        let bounds = Aabb::from_disk(disk.center, normal, disk.radius);
-        let footprint = self.raster.footprint(bounds.min, bounds.max);
-        self.raster.draw::<L, _>(&[(disk, ink)], &footprint, disk.center);
+        draw_surfel(seen, self.normal, self);
+    }
+}
+
+impl<L: Lanes> SurfelPen for CubeVisitor<'_, L> {
+    #[inline(always)]
+    fn draw<S: Shape>(&mut self, seen: &SurfelSeen, shape: &S, outline: &Outline) {
+        let footprint = self.raster.footprint(outline.bounds.min, outline.bounds.max);
+        let ink = surfel_ink(seen, outline);
+        self.raster.draw::<L, S>(&[(*shape, ink)], &footprint, seen.surfel.center);
     }
 }
 
@@ -432,18 +430,16 @@ impl<L: Lanes> CutVisitor for WindowVisitor<'_, L> {
         if !blocks(seen) {
             return;
         }
-        if let Some(tile) = surfel_tile(seen, self.normal) {
-            let bounds = tile.bounds();
-            if self.window.is_met_by(bounds.min, bounds.max) {
-                self.raster.draw::<L, _>(self.window, &tile, &Veil::OPAQUE);
-            }
-            return;
-        }
-        let (disk, _, opacity) = surfel_disk(seen, self.normal);
-        let bounds = seen.surfel.radius;
-        if self.window.is_met_by(disk.center - bounds, disk.center + bounds) {
-            let veil = Veil { start: 0.0, end: opacity, seed: seen.seed };
-            self.raster.draw::<L, _>(self.window, &disk, &veil);
+        draw_surfel(seen, self.normal, self);
+    }
+}
+
+impl<L: Lanes> SurfelPen for WindowVisitor<'_, L> {
+    #[inline(always)]
+    fn draw<S: Shape>(&mut self, seen: &SurfelSeen, shape: &S, outline: &Outline) {
+        if self.window.is_met_by(outline.bounds.min, outline.bounds.max) {
+            let veil = Veil { start: 0.0, end: outline.opacity, seed: seen.seed };
+            self.raster.draw::<L, S>(self.window, shape, &veil);
         }
     }
 }

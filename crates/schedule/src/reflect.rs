@@ -1,11 +1,11 @@
 //! What a glossy receiver reflects: the cut drawn into a raster as dense as its lobe, over the environment.
 
-use crate::drawing::{blocks, piece_ink, piece_shape, surfel_disk, surfel_ink, surfel_tile};
+use crate::drawing::{Outline, SurfelPen, blocks, draw_surfel, piece_ink, piece_shape, surfel_ink};
 use crate::importance::nearest_to;
 use crate::light::PreparedLight;
 use pbgi_brdf::{GgxLobe, LobeDirections, LobePattern};
 use pbgi_cut::{Cluster, CutVisitor, SurfelSeen};
-use pbgi_math::{Aabb, Vec3};
+use pbgi_math::Vec3;
 use pbgi_raster::{Ink, Lanes, LobeInk, LobeRaster, SAMPLES, Shape};
 use std::f32::consts::PI;
 use std::marker::PhantomData;
@@ -156,7 +156,7 @@ impl<L: Lanes> LobeVisitor<'_, L> {
     }
 
     #[inline(always)]
-    fn draw<S: Shape>(&mut self, shape: &S, drawn: &Drawn) {
+    fn draw_shape<S: Shape>(&mut self, shape: &S, drawn: &Drawn) {
         let Drawn { ink, solid_angle, .. } = drawn;
         if drawn.is_particle {
             if let Some(direction) = self.direction(drawn) {
@@ -170,13 +170,6 @@ impl<L: Lanes> LobeVisitor<'_, L> {
         }
         if let Some(direction) = self.direction(drawn) {
             self.raster.shine(ink, shape.inverse(), direction);
-        }
-    }
-
-    #[inline(always)]
-    fn draw_surfel<S: Shape>(&mut self, shape: &S, bounds: &Aabb, drawn: &Drawn) {
-        if drawn.is_particle || self.raster.is_open::<L>(bounds.min, bounds.max) {
-            self.draw(shape, drawn);
         }
     }
 }
@@ -194,7 +187,7 @@ impl<L: Lanes> CutVisitor for LobeVisitor<'_, L> {
             let toward = (cluster.low + cluster.high) * 0.5;
             let place = Place { toward, spread: cluster.spread, is_round: piece.is_round };
             let drawn = self.ink(&piece_ink(cluster, piece, veil), &place);
-            self.draw(&section, &drawn);
+            self.draw_shape(&section, &drawn);
         }
     }
 
@@ -203,19 +196,19 @@ impl<L: Lanes> CutVisitor for LobeVisitor<'_, L> {
         if !blocks(seen) {
             return;
         }
+        draw_surfel(seen, self.normal, self);
+    }
+}
+
+impl<L: Lanes> SurfelPen for LobeVisitor<'_, L> {
+    #[inline(always)]
+    fn draw<S: Shape>(&mut self, seen: &SurfelSeen, shape: &S, outline: &Outline) {
         let toward = seen.surfel.center;
         let spread = seen.surfel.radius / seen.distance2.sqrt();
         let place = Place { toward, spread, is_round: seen.surfel.isotropic };
-        if let Some(tile) = surfel_tile(seen, self.normal) {
-            let ink = surfel_ink(seen, seen.surfel.normal, 1.0, tile.half[0]);
-            let drawn = self.ink(&ink, &place);
-            self.draw_surfel(&tile, &tile.bounds(), &drawn);
-            return;
+        let drawn = self.ink(&surfel_ink(seen, outline), &place);
+        if drawn.is_particle || self.raster.is_open::<L>(outline.bounds.min, outline.bounds.max) {
+            self.draw_shape(shape, &drawn);
         }
-        let (disk, normal, opacity) = surfel_disk(seen, self.normal);
-        let ink = surfel_ink(seen, normal, opacity, disk.radius);
-        let drawn = self.ink(&ink, &place);
-        let bounds = Aabb::from_disk(disk.center, normal, disk.radius);
-        self.draw_surfel(&disk, &bounds, &drawn);
     }
 }

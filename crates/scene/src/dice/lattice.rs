@@ -1,7 +1,6 @@
-//! The lattice that cuts a triangle, or a parallelogram of two, into micropolygons.
+//! The lattices that cut a triangle, or a rectangle of two, into micropolygons: rectangles and triangles.
 
 use pbgi_math::DVec3;
-use std::f64::consts::PI;
 
 /// Most steps along one edge; keeps every product of two step counts below 2⁶².
 const STEPS_MAX: u64 = 1 << 31;
@@ -10,8 +9,8 @@ const STEPS_MAX: u64 = 1 << 31;
 /// more: equal edges of neighboring triangles, unequal by rounding, take equal steps.
 const STEP_SLACK: f64 = 1e-3;
 
-/// Largest cosine between a cell's edges with which it is drawn as a rectangle, and two triangles are diced as one: 30° off the right angle, and some rounding.
-pub(super) const SKEW_COSINE_MAX: f64 = 0.5 + 1e-6;
+/// Largest cosine of an angle that is taken for a right one: its rectangles are off by half a hundredth of their edges.
+pub(super) const SKEW_COSINE_MAX: f64 = 0.01;
 
 /// Most a cell's long edge measures in short edges; where this needs more steps along the long edge, they are added.
 const ASPECT_MAX: f64 = 1.5;
@@ -19,73 +18,46 @@ const ASPECT_MAX: f64 = 1.5;
 /// ... but not so many that they are shorter than this share of the spacing.
 const SPACING_SHARE_MIN: f64 = 0.25;
 
-/// Covering radius over the radius of the disk of the same area from which on a clipped cell is a sliver and drawn as a rectangle: half a
-/// square, at 1.9, is not.
-const SLIVER_RATIO: f64 = 2.0;
-
-/// Length of a sliver's rectangle over the sliver's: such a rectangle has about the moment of inertia of a triangle.
-const SLIVER_LENGTH: f64 = 0.8;
-
-/// A corner of a piece of a triangle.
+/// A corner of a piece of a triangle, or a step between two.
 #[derive(Clone, Copy, Debug, Default)]
-struct Corner {
-    position: DVec3,
-    barycentric: DVec3,
+pub(super) struct Corner {
+    pub position: DVec3,
+    pub barycentric: DVec3,
 }
 
-/// A triangle, half of one, or a parallelogram under a lattice of parallelograms.
+/// How a piece is cut.
+#[derive(Clone, Copy, Debug, Default)]
+enum Cut {
+    /// Not at all: a triangle.
+    #[default]
+    Whole,
+    /// A rectangle, into rows of equal rectangles: steps along `u` and `v`.
+    Rectangle { u_steps: u64, v_steps: u64 },
+    /// A right triangle, into strips of a step along `u`; each ends in a triangle of a step of `u` and one of `v`, which lie on the
+    /// third edge without a rest. What is below is cut into equal rectangles of at most `rise` steps of `v`.
+    RightTriangle { steps: u64, rise: u64 },
+}
+
+/// A triangle, a right one, or a rectangle, cut into micropolygons.
 ///
-/// The first corner is the one nearest to a right angle; the lattice has `u_steps` steps along the
-/// edge to the second corner and `v_steps` along the edge to the third. Cell (i, j) is what lies in
-/// the triangle of the parallelogram between steps i..i+1 and j..j+1. Two halves of a parallelogram
-/// get lattices that coincide. A parallelogram that is diced as one has whole cells only.
+/// The steps `u` and `v` lead from the first corner along the two edges there.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Lattice {
     origin: Corner,
-    /// Edge vectors (and barycentric differences) to the second and third corner, over the steps.
     u: Corner,
     v: Corner,
-    u_steps: u64,
-    v_steps: u64,
-    /// All of the parallelogram, not the half of it with the first corner.
-    full: bool,
-    /// Area of a whole cell.
-    cell_area: f64,
-    /// Covering radius of a whole cell: half its longer diagonal.
-    cell_radius: f64,
-    /// The rectangle whole cells are drawn as, if they are near one.
-    rectangle: Option<Rectangle>,
+    cut: Cut,
 }
 
-/// A rectangle with the area of a whole cell.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Rectangle {
-    /// Along its long edge.
-    pub direction: DVec3,
-    /// Long over short edge.
-    pub aspect: f64,
-}
-
-/// One micropolygon of a lattice.
+/// One micropolygon: what two edges span from a corner, or the half of it with that corner.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cell {
-    /// Centroid.
-    pub center: DVec3,
-    /// Barycentric coordinates of the centroid in the whole triangle.
-    pub barycentric: DVec3,
-    /// Exact area.
-    pub area: f64,
-    /// Largest distance of a vertex from the centroid.
-    pub radius: f64,
-    column: u64,
-    row: u64,
-    /// A whole parallelogram of the lattice.
-    pub whole: bool,
-    /// The rectangle a clipped cell is drawn as, if it is a sliver.
-    pub sliver: Option<Rectangle>,
+    corner: Corner,
+    edges: [Corner; 2],
+    pub is_triangle: bool,
 }
 
-/// A triangle as one or two lattices.
+/// A triangle or rectangle as one or two lattices.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lattices {
     pub pieces: [Lattice; 2],
@@ -93,38 +65,45 @@ pub(super) struct Lattices {
 }
 
 impl Lattices {
-    /// Dices the triangle `positions` with steps of at most `spacing`. A triangle with an angle above
-    /// 120° and longer than that is first split by the altitude from that corner, so no cell is a
-    /// narrow rhomb.
+    /// Dices the triangle `positions` with steps of at most `spacing`. One that is larger is first split by the height
+    /// on its longest edge, if it has no right angle.
     pub fn new(positions: [DVec3; 3], spacing: f64) -> Self {
         let corner = |i: usize| Corner::of_triangle(positions, i);
-        // The angle nearest to 90° is the largest one: opposite the longest edge.
+        // The largest angle is opposite the longest edge.
         let opposite = |i: usize| positions[(i + 1) % 3].distance_squared(positions[(i + 2) % 3]);
         let apex = (1..3).fold(0, |best, i| if opposite(i) > opposite(best) { i } else { best });
         let [a, b, c] = [corner(apex), corner(apex + 1), corner(apex + 2)];
+        let one = |piece| Self { pieces: [piece, Lattice::default()], piece_count: 1 };
+        if count_steps(b.position.distance(c.position), spacing) == 1 {
+            return one(Lattice::whole([a, b, c]));
+        }
         let (ab, ac) = (b.position - a.position, c.position - a.position);
-        let obtuse = ab.dot(ac) < -0.5 * (ab.length_squared() * ac.length_squared()).sqrt();
-        if !obtuse || count_steps(b.position.distance(c.position), spacing) == 1 {
-            let whole = Lattice::new([a, b, c], spacing);
-            return Self { pieces: [whole, Lattice::default()], piece_count: 1 };
+        if ab.dot(ac).abs() <= SKEW_COSINE_MAX * (ab.length_squared() * ac.length_squared()).sqrt()
+        {
+            return one(Lattice::right_triangle([a, b, c], spacing));
         }
         let bc = c.position - b.position;
-        let foot = b.lerp(c, -ab.dot(bc) / bc.length_squared());
-        let pieces = [Lattice::new([foot, a, b], spacing), Lattice::new([foot, c, a], spacing)];
+        let foot = b.lerp(c, (-ab.dot(bc) / bc.length_squared()).clamp(0.0, 1.0));
+        let pieces = [[foot, a, b], [foot, c, a]].map(|p| Lattice::right_triangle(p, spacing));
         Self { pieces, piece_count: 2 }
     }
 
-    /// Dices the parallelogram over the edges from corner `apex` of the triangle `positions`; it has this `area`.
+    /// Dices the rectangle over the edges from corner `apex` of the triangle `positions`.
     /// Barycentric coordinates beyond the triangle are outside 0..=1.
-    pub fn of_parallelogram(positions: [DVec3; 3], apex: usize, area: f64, spacing: f64) -> Self {
-        let corners = [0, 1, 2].map(|k| Corner::of_triangle(positions, apex + k));
-        let mut whole = Lattice::new(corners, spacing);
-        whole.full = true;
-        whole.cell_area = area / (whole.u_steps * whole.v_steps) as f64;
+    pub fn of_rectangle(positions: [DVec3; 3], apex: usize, spacing: f64) -> Self {
+        let [a, b, c] = [0, 1, 2].map(|k| Corner::of_triangle(positions, apex + k));
+        let lengths = [a.position.distance(b.position), a.position.distance(c.position)];
+        let [u_steps, v_steps] = count_lattice_steps(lengths, spacing);
+        let whole = Lattice {
+            origin: a,
+            u: a.step_to(b, u_steps),
+            v: a.step_to(c, v_steps),
+            cut: Cut::Rectangle { u_steps, v_steps },
+        };
         Self { pieces: [whole, Lattice::default()], piece_count: 1 }
     }
 
-    /// Micropolygons of the triangle or parallelogram.
+    /// Micropolygons of the triangle or rectangle.
     pub fn cell_count(&self) -> u64 {
         self.pieces[..self.piece_count].iter().map(Lattice::cell_count).sum()
     }
@@ -148,211 +127,169 @@ impl Corner {
         }
     }
 
+    /// A step of so many to another corner.
     fn step_to(self, other: Self, steps: u64) -> Self {
         Self {
             position: (other.position - self.position) / steps as f64,
             barycentric: (other.barycentric - self.barycentric) / steps as f64,
         }
     }
-}
 
-impl Rectangle {
-    /// The rectangle with the longer of two edges and the parallelogram's area: rows of such rectangles along that edge
-    /// cover what rows of parallelograms do. `None` where the edges are too far from a right angle.
-    fn of_parallelogram(u: DVec3, v: DVec3) -> Option<Self> {
-        let long = if u.length_squared() >= v.length_squared() { u } else { v };
-        let (length_squared, area) = (long.length_squared(), u.cross(v).length());
-        let skew =
-            u.dot(v).abs() / (length_squared * u.length_squared().min(v.length_squared())).sqrt();
-        let aspect = length_squared / area;
-        (skew <= SKEW_COSINE_MAX && aspect.is_finite()).then_some(Self { direction: long, aspect })
+    /// So many steps from here.
+    #[inline]
+    fn step(self, step: &Self, count: f64) -> Self {
+        Self {
+            position: self.position + step.position * count,
+            barycentric: self.barycentric + step.barycentric * count,
+        }
+    }
+
+    /// A share of a step.
+    fn share(self, share: f64) -> Self {
+        Self { position: self.position * share, barycentric: self.barycentric * share }
     }
 }
 
 impl Lattice {
-    fn new([a, b, c]: [Corner; 3], spacing: f64) -> Self {
-        let (u_length, v_length) =
-            (a.position.distance(b.position), a.position.distance(c.position));
-        let [u_steps, v_steps] = count_lattice_steps([u_length, v_length], spacing);
-        let (u, v) = (a.step_to(b, u_steps), a.step_to(c, v_steps));
-        let diagonals = [u.position + v.position, u.position - v.position];
+    fn whole([a, b, c]: [Corner; 3]) -> Self {
+        Self { origin: a, u: a.step_to(b, 1), v: a.step_to(c, 1), cut: Cut::Whole }
+    }
+
+    /// With the right angle at the first corner.
+    fn right_triangle([a, b, c]: [Corner; 3], spacing: f64) -> Self {
+        let length = |to: &Corner| a.position.distance(to.position);
+        // Strips across the longer leg.
+        let (long, short) = if length(&b) >= length(&c) { (b, c) } else { (c, b) };
+        let [steps, short_steps] = count_lattice_steps([length(&long), length(&short)], spacing);
+        let rise = (steps / short_steps).max(1);
         Self {
             origin: a,
-            u,
-            v,
-            u_steps,
-            v_steps,
-            full: false,
-            cell_area: u.position.cross(v.position).length(),
-            cell_radius: 0.5 * diagonals[0].length().max(diagonals[1].length()),
-            rectangle: Rectangle::of_parallelogram(u.position, v.position),
+            u: a.step_to(long, steps),
+            v: a.step_to(short, steps),
+            cut: Cut::RightTriangle { steps, rise },
         }
     }
 
-    /// The rectangle whole cells are drawn as, if they are near one.
-    pub fn rectangle(&self) -> Option<Rectangle> {
-        self.rectangle
-    }
-
-    /// Cells that meet the inside of the triangle: below the diagonal of the m × n grid there are
-    /// (m n + m + n − gcd(m, n)) / 2, for the diagonal crosses m + n − gcd(m, n) cells.
+    /// Micropolygons.
     pub fn cell_count(&self) -> u64 {
-        let (m, n) = (self.u_steps, self.v_steps);
-        if self.full {
-            return m * n;
+        match self.cut {
+            Cut::Whole => 1,
+            Cut::Rectangle { u_steps, v_steps } => u_steps * v_steps,
+            // Σ ⌈j / rise⌉ for j below `steps`: `rise` of each number, and the rest of the last.
+            Cut::RightTriangle { steps, rise } => {
+                let (full, rest) = ((steps - 1) / rise, (steps - 1) % rise);
+                steps + rise * (full * (full + 1) / 2) + rest * (full + 1)
+            }
         }
-        (m * n + m + n - gcd(m, n)) / 2
     }
 
     /// Number of rows.
     pub fn row_count(&self) -> u64 {
-        self.v_steps
+        match self.cut {
+            Cut::Whole => 1,
+            Cut::Rectangle { v_steps, .. } => v_steps,
+            Cut::RightTriangle { steps, .. } => steps,
+        }
     }
 
-    /// Cells of `row` that meet the inside of the triangle.
+    /// Cells of `row`.
     pub fn column_count(&self, row: u64) -> u64 {
-        if self.full {
-            return self.u_steps;
+        match self.cut {
+            Cut::Whole => 1,
+            Cut::Rectangle { u_steps, .. } => u_steps,
+            Cut::RightTriangle { steps, rise } => (steps - 1 - row).div_ceil(rise) + 1,
         }
-        (self.u_steps * (self.v_steps - row)).div_ceil(self.v_steps)
     }
 
-    /// How many of them, counted from 0, are whole parallelograms.
-    pub fn whole_column_count(&self, row: u64) -> u64 {
-        if self.full {
-            return self.u_steps;
-        }
-        self.u_steps * (self.v_steps - row - 1) / self.v_steps
-    }
-
-    /// Cell (column, row), whole or clipped.
+    /// Cell (column, row).
     #[inline]
     pub fn cell(&self, column: u64, row: u64) -> Cell {
-        if column < self.whole_column_count(row) {
-            self.whole_cell(column, row)
-        } else {
-            self.clipped_cell(column, row)
-        }
-    }
-
-    /// The whole parallelogram (column, row).
-    #[inline]
-    pub fn whole_cell(&self, column: u64, row: u64) -> Cell {
-        let (x, y) = (column as f64 + 0.5, row as f64 + 0.5);
-        Cell {
-            center: self.origin.position + self.u.position * x + self.v.position * y,
-            barycentric: self.origin.barycentric + self.u.barycentric * x + self.v.barycentric * y,
-            area: self.cell_area,
-            radius: self.cell_radius,
-            column,
-            row,
-            whole: true,
-            sliver: None,
-        }
-    }
-
-    /// Cell (column, row) clipped by the third edge: a polygon of three to five vertices.
-    pub fn clipped_cell(&self, column: u64, row: u64) -> Cell {
-        let (polygon, count) = self.clip(column, row);
-        let polygon = &polygon[..count];
-        // Area and centroid by the shoelace formula, in steps from the cell's first corner.
-        let (mut double_area, mut x_sum, mut y_sum) = (0.0, 0.0, 0.0);
-        for (k, &[x0, y0]) in polygon.iter().enumerate() {
-            let [x1, y1] = polygon[(k + 1) % count];
-            let cross = x0 * y1 - x1 * y0;
-            double_area += cross;
-            x_sum += (x0 + x1) * cross;
-            y_sum += (y0 + y1) * cross;
-        }
-        let (x, y) = if double_area > 0.0 {
-            (x_sum / (3.0 * double_area), y_sum / (3.0 * double_area))
-        } else {
-            (0.0, 0.0)
-        };
-        let reach = |&[px, py]: &[f64; 2]| {
-            (self.u.position * (px - x) + self.v.position * (py - y)).length_squared()
-        };
-        let radius_squared = polygon.iter().map(reach).fold(0.0, f64::max);
-        let (x, y) = (x + column as f64, y + row as f64);
-        Cell {
-            center: self.origin.position + self.u.position * x + self.v.position * y,
-            barycentric: self.origin.barycentric + self.u.barycentric * x + self.v.barycentric * y,
-            area: 0.5 * double_area * self.cell_area,
-            radius: radius_squared.sqrt(),
-            column,
-            row,
-            whole: false,
-            sliver: self.sliver(polygon, 0.5 * double_area * self.cell_area, radius_squared),
-        }
-    }
-
-    /// The rectangle for a clipped cell, of this area and squared covering radius, if a disk is none for it.
-    fn sliver(&self, polygon: &[[f64; 2]], area: f64, radius_squared: f64) -> Option<Rectangle> {
-        if !(radius_squared * PI > SLIVER_RATIO * SLIVER_RATIO * area) {
-            return None;
-        }
-        let at = |[x, y]: [f64; 2]| self.u.position * x + self.v.position * y;
-        let mut longest = DVec3::ZERO;
-        for (i, a) in polygon.iter().enumerate() {
-            for b in &polygon[i + 1..] {
-                let between = at(*b) - at(*a);
-                if between.length_squared() > longest.length_squared() {
-                    longest = between;
+        let at = |u: f64, v: f64| self.origin.step(&self.u, u).step(&self.v, v);
+        let cell = |corner, edges, is_triangle| Cell { corner, edges, is_triangle };
+        match self.cut {
+            Cut::Whole => cell(self.origin, [self.u, self.v], true),
+            Cut::Rectangle { .. } => cell(at(column as f64, row as f64), [self.u, self.v], false),
+            Cut::RightTriangle { steps, rise } => {
+                let below = (steps - 1 - row) as f64;
+                let pieces = (steps - 1 - row).div_ceil(rise);
+                if column >= pieces {
+                    return cell(at(row as f64, below), [self.u, self.v], true);
                 }
+                let height = below / pieces as f64;
+                let corner = at(row as f64, height * column as f64);
+                cell(corner, [self.u, self.v.share(height)], false)
             }
         }
-        let aspect = longest.length_squared() * SLIVER_LENGTH * SLIVER_LENGTH / area;
-        aspect.is_finite().then_some(Rectangle { direction: longest, aspect: aspect.max(1.0) })
+    }
+}
+
+impl Cell {
+    /// Steps from the corner to the centroid.
+    fn middle(&self) -> f64 {
+        if self.is_triangle { 1.0 / 3.0 } else { 0.5 }
     }
 
-    /// The part of cell (column, row) in the triangle, as vertices in steps from the cell's first
-    /// corner, counterclockwise, and their number.
-    fn clip(&self, column: u64, row: u64) -> ([[f64; 2]; 6], usize) {
-        const SQUARE: [[f64; 2]; 4] = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
-        let inside = |[x, y]: [f64; 2]| self.inside(column, row, x, y);
-        let mut polygon = [[0.0; 2]; 6];
-        let mut count = 0;
-        let mut push = |vertex: [f64; 2]| {
-            polygon[count] = vertex;
-            count += 1;
+    /// Centroid.
+    #[inline]
+    pub fn center(&self) -> DVec3 {
+        let [u, v] = &self.edges;
+        self.corner.position + (u.position + v.position) * self.middle()
+    }
+
+    /// Barycentric coordinates of the centroid in the whole triangle.
+    #[inline]
+    pub fn barycentric(&self) -> DVec3 {
+        let [u, v] = &self.edges;
+        self.corner.barycentric + (u.barycentric + v.barycentric) * self.middle()
+    }
+
+    /// The edges from its corner.
+    #[inline]
+    pub fn edges(&self) -> [DVec3; 2] {
+        self.edges.map(|edge| edge.position)
+    }
+
+    /// Area; of a rectangle whose angles are nearly right, exactly.
+    #[inline]
+    pub fn area(&self) -> f64 {
+        let [u, v] = self.edges();
+        u.cross(v).length() * if self.is_triangle { 0.5 } else { 1.0 }
+    }
+
+    /// The longest edge of a triangle, such that the third corner lies to its left, seen against this normal; and over which share of it.
+    pub fn base(&self, normal: DVec3) -> (DVec3, f64) {
+        let [u, v] = self.edges();
+        let [a, b, c] = match normal.dot(u.cross(v)) > 0.0 {
+            true => [DVec3::ZERO, u, v],
+            false => [DVec3::ZERO, v, u],
         };
-        for (k, &from) in SQUARE.iter().enumerate() {
-            let to = SQUARE[(k + 1) % 4];
-            let (from_inside, to_inside) = (inside(from), inside(to));
-            if from_inside >= 0.0 {
-                push(from);
+        let edges = [(a, b, c), (b, c, a), (c, a, b)];
+        let longer = |best: (DVec3, DVec3, DVec3), edge: (DVec3, DVec3, DVec3)| {
+            if (edge.1 - edge.0).length_squared() > (best.1 - best.0).length_squared() {
+                edge
+            } else {
+                best
             }
-            if (from_inside > 0.0) != (to_inside > 0.0) && from_inside != 0.0 && to_inside != 0.0 {
-                let t = from_inside / (from_inside - to_inside);
-                push([from[0] + (to[0] - from[0]) * t, from[1] + (to[1] - from[1]) * t]);
-            }
-        }
-        (polygon, count)
+        };
+        let (from, to, apex) = edges.into_iter().fold(edges[0], longer);
+        let base = to - from;
+        (base, (apex - from).dot(base) / base.length_squared())
     }
 
-    /// At least 0 where the point `x`, `y` steps into cell (column, row) is in the triangle:
-    /// mn − (column + x) n − (row + y) m, the whole numbers taken first to lose no digits.
-    fn inside(&self, column: u64, row: u64, x: f64, y: f64) -> f64 {
-        let (m, n) = (self.u_steps, self.v_steps);
-        let rest = m * n - column * n - row * m;
-        rest as f64 - x * n as f64 - y * m as f64
-    }
-
-    /// Barycentric coordinates of the points of a regular `edge` × `edge` grid over `cell` that lie
+    /// Barycentric coordinates of the points of a regular `edge` × `edge` grid over the cell that lie
     /// in it; the centroid if none does. Calls `visit` with each.
-    pub fn visit_grid(&self, cell: &Cell, edge: u32, mut visit: impl FnMut(DVec3)) {
+    pub fn visit_grid(&self, edge: u32, mut visit: impl FnMut(DVec3)) {
         let mut visited = false;
         for k in 0..edge * edge {
             let x = (f64::from(k % edge) + 0.5) / f64::from(edge);
             let y = (f64::from(k / edge) + 0.5) / f64::from(edge);
-            if cell.whole || self.inside(cell.column, cell.row, x, y) >= 0.0 {
-                let (x, y) = (x + cell.column as f64, y + cell.row as f64);
-                visit(self.origin.barycentric + self.u.barycentric * x + self.v.barycentric * y);
+            if !self.is_triangle || x + y <= 1.0 {
+                visit(self.corner.step(&self.edges[0], x).step(&self.edges[1], y).barycentric);
                 visited = true;
             }
         }
         if !visited {
-            visit(cell.barycentric);
+            visit(self.barycentric());
         }
     }
 }
@@ -376,23 +313,16 @@ fn count_lattice_steps(lengths: [f64; 2], spacing: f64) -> [u64; 2] {
     })
 }
 
-fn gcd(mut a: u64, mut b: u64) -> u64 {
-    while b != 0 {
-        (a, b) = (b, a % b);
-    }
-    a
-}
-
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
 
     /// Calls `visit` with every cell of a triangle.
-    pub fn visit_cells(lattices: &Lattices, mut visit: impl FnMut(&Lattice, Cell)) {
+    fn visit_cells(lattices: &Lattices, mut visit: impl FnMut(&Cell)) {
         for lattice in &lattices.pieces[..lattices.piece_count] {
             for row in 0..lattice.row_count() {
                 for column in 0..lattice.column_count(row) {
-                    visit(lattice, lattice.cell(column, row));
+                    visit(&lattice.cell(column, row));
                 }
             }
         }
@@ -426,13 +356,13 @@ pub(super) mod tests {
             let centroid = (t[0] + t[1] + t[2]) / 3.0;
             let lattices = Lattices::new(t, 0.05 + 3.0 * next());
             let (mut sum, mut moment, mut count) = (0.0, DVec3::ZERO, 0);
-            visit_cells(&lattices, |_, cell| {
-                assert!(cell.area > 0.0 && cell.radius > 0.0);
-                let b = cell.barycentric;
+            visit_cells(&lattices, |cell| {
+                assert!(cell.area() > 0.0);
+                let b = cell.barycentric();
                 assert!(b.min_element() > -1e-12 && (b.element_sum() - 1.0).abs() < 1e-12);
-                assert!((t[0] * b.x + t[1] * b.y + t[2] * b.z - cell.center).length() < 1e-11);
-                sum += cell.area;
-                moment += cell.center * cell.area;
+                assert!((t[0] * b.x + t[1] * b.y + t[2] * b.z - cell.center()).length() < 1e-11);
+                sum += cell.area();
+                moment += cell.center() * cell.area();
                 count += 1;
             });
             assert!((sum / area - 1.0).abs() < 1e-8, "{sum} {area} {t:?}");
@@ -442,89 +372,59 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn every_point_is_covered_by_a_disk() {
+    fn every_point_is_in_one_cell() {
         let mut next = random(2);
-        for _ in 0..200 {
+        for _ in 0..300 {
             let t = random_triangle(&mut next);
-            let mut disks = vec![];
-            visit_cells(&Lattices::new(t, 0.3 + next()), |_, cell| {
-                disks.push((cell.center, cell.radius));
-            });
+            let mut cells = vec![];
+            visit_cells(&Lattices::new(t, 0.3 + next()), |cell| cells.push(*cell));
             for _ in 0..100 {
                 let (mut x, mut y) = (next(), next());
                 if x + y > 1.0 {
                     (x, y) = (1.0 - x, 1.0 - y);
                 }
                 let point = t[0] + (t[1] - t[0]) * x + (t[2] - t[0]) * y;
-                let covered = |&(center, radius): &(DVec3, f64)| {
-                    point.distance(center) <= radius * (1.0 + 1e-9) + 1e-12
+                let holds = |cell: &&Cell| {
+                    let [u, v] = cell.edges();
+                    let (n, d) = (u.cross(v), point - cell.corner.position);
+                    let x = d.cross(v).dot(n) / n.length_squared();
+                    let y = u.cross(d).dot(n) / n.length_squared();
+                    let most = if cell.is_triangle { x + y } else { x.max(y) };
+                    x.min(y) >= 0.0 && most <= 1.0
                 };
-                assert!(disks.iter().any(covered), "{point} of {t:?}");
+                // Of random points none lies on an edge.
+                assert_eq!(cells.iter().filter(holds).count(), 1, "{point} of {t:?}");
             }
         }
     }
 
     #[test]
-    fn cells_are_no_wider_than_the_spacing_allows() {
+    fn angles_are_right_and_edges_no_longer_than_the_spacing() {
         let mut next = random(3);
-        for _ in 0..200 {
-            let spacing = 0.1 + next();
-            visit_cells(&Lattices::new(random_triangle(&mut next), spacing), |_, cell| {
-                // Half the longer diagonal of a rhomb of 120°.
-                assert!(cell.radius <= 0.867 * spacing * 1.01);
+        for _ in 0..300 {
+            let (spacing, t) = (0.1 + next(), random_triangle(&mut next));
+            visit_cells(&Lattices::new(t, spacing), |cell| {
+                let [u, v] = cell.edges();
+                let (base, foot) = cell.base(u.cross(v).normalize());
+                if !cell.is_triangle || base.length() > spacing * 1.01 {
+                    let cosine = u.dot(v) / (u.length() * v.length());
+                    assert!(cosine.abs() < 0.011, "{cosine} of {t:?}");
+                }
+                assert!(u.length().max(v.length()) < spacing * 1.01);
+                if cell.is_triangle {
+                    assert!((-1e-9..=1.0 + 1e-9).contains(&foot), "{foot} of {t:?}");
+                    let height = 2.0 * cell.area() / base.length();
+                    let left = u.cross(v).normalize().cross(base).normalize();
+                    let apex = base * foot + left * height;
+                    // The two other edges.
+                    let lengths = [apex.length(), (apex - base).length()];
+                    let of_cell = [u.length(), v.length(), (u - v).length()];
+                    for length in lengths {
+                        assert!(of_cell.iter().any(|l| (l / length - 1.0).abs() < 1e-6));
+                    }
+                }
             });
         }
-    }
-
-    #[test]
-    fn halves_of_a_rectangle_share_their_lattice() {
-        let (a, b) = (DVec3::new(1.7, 0.3, -0.2), DVec3::new(0.1, 0.2, 1.15));
-        let origin = DVec3::new(0.4, 2.0, -5.0);
-        let collect = |t: [DVec3; 3]| {
-            let (mut whole, mut halves) = (vec![], vec![]);
-            visit_cells(&Lattices::new(t, 0.1), |_, cell| {
-                if cell.whole { whole.push(cell) } else { halves.push(cell) }
-            });
-            (whole, halves)
-        };
-        let first = collect([origin, origin + a, origin + b]);
-        let second = collect([origin + a + b, origin + b, origin + a]);
-        let offsets = |cells: &[Cell]| {
-            let (u, v) = (a / 18.0, b / 12.0);
-            let at = |c: &Cell| {
-                let d = c.center - origin;
-                let n = a.cross(b);
-                let coordinates = [d.cross(b).dot(n), a.cross(d).dot(n)].map(|x| x / n.dot(n));
-                [coordinates[0] * a.length() / u.length(), coordinates[1] * b.length() / v.length()]
-            };
-            cells.iter().map(at).collect::<Vec<_>>()
-        };
-        for cells in [&first.0, &second.0] {
-            for [x, y] in offsets(cells) {
-                assert!((x.fract() - 0.5).abs() < 1e-9 && (y.fract() - 0.5).abs() < 1e-9);
-            }
-        }
-        // A clipped cell of one half completes one of the other half.
-        let total: f64 = first.1.iter().chain(&second.1).map(|c| c.area).sum();
-        let whole = a.cross(b).length() - (first.0.len() + second.0.len()) as f64 * first.0[0].area;
-        assert!((total / whole - 1.0).abs() < 1e-9);
-    }
-
-    #[test]
-    fn skew_cells_have_no_rectangle() {
-        let v = |degrees: f64| {
-            let (sin, cos) = degrees.to_radians().sin_cos();
-            DVec3::new(cos, sin, 0.0) * 0.5
-        };
-        for (degrees, known) in [(90.0, true), (60.0, true), (120.0, true), (59.0, false)] {
-            let rectangle = Rectangle::of_parallelogram(v(degrees), DVec3::X);
-            assert_eq!(rectangle.is_some(), known, "{degrees}");
-            if let Some(Rectangle { direction, aspect }) = rectangle {
-                assert_eq!(direction, DVec3::X);
-                assert!((1.0 / aspect - 0.5 * degrees.to_radians().sin()).abs() < 1e-12);
-            }
-        }
-        assert!(Rectangle::of_parallelogram(DVec3::ZERO, DVec3::X).is_none());
     }
 
     #[test]

@@ -77,13 +77,12 @@ pub enum DiceError {
 /// The micropolygons of a scene as a stream of surfels, in the order of instances, triangles, rows
 /// of the triangle's lattice, columns; nothing is stored but the place in that order.
 ///
-/// Each triangle is cut by a lattice of parallelograms along the two edges of its largest corner,
-/// with steps of at most the spacing, shorter where cells would be long and narrow; cells on the third edge are clipped to
-/// it. Two triangles that follow each other and make up a parallelogram, also in what textures and colors show, are cut as one
-/// parallelogram without clipped cells. A micropolygon's
-/// surfel lies at its centroid, has exactly its area, a radius that reaches all its vertices, the triangle's geometric normal,
-/// its filtered albedo, and its emission as radiance; that of a whole parallelogram not far from a rectangle knows the
-/// rectangle of its area and longer edge, and has half its diagonal as radius. Both the areas and the disks of all surfels therefore cover each triangle exactly and without holes. Where a
+/// A triangle whose longest edge is at most the spacing is one micropolygon. A larger one is split by the height on that edge into two right
+/// triangles, and these into strips across their longer leg, of at most the spacing, narrower where cells would be long and narrow: rectangles, and one
+/// small right triangle on the third edge each. Two triangles that follow each other and make up a rectangle, also in what textures and colors
+/// show, are cut as one. A micropolygon's surfel lies at its centroid, stands for exactly its rectangle or triangle
+/// ([`Surfel::with_tile`], [`Surfel::with_triangle`]), and has the triangle's geometric normal, its filtered albedo, and its emission as radiance: the
+/// outlines of all surfels cover each triangle without holes and without overlap. Where a
 /// mask cuts holes, the area is scaled by the opaque share, the radius by its root, and what is all
 /// hole is left out.
 ///
@@ -226,14 +225,8 @@ impl<'a> Cursor<'a> {
         let Some(patch) = &mut self.patch else { return };
         let lattice = patch.lattices.pieces[self.piece];
         let columns = lattice.column_count(self.row);
-        let whole_columns = lattice.whole_column_count(self.row);
         while self.column < columns && out.len() < end {
-            let cell = if self.column < whole_columns {
-                lattice.whole_cell(self.column, self.row)
-            } else {
-                lattice.clipped_cell(self.column, self.row)
-            };
-            patch.push_surfels(self.piece, &cell, out);
+            patch.push_surfels(self.piece, &lattice.cell(self.column, self.row), out);
             self.column += 1;
         }
         if self.column == columns {
@@ -425,58 +418,52 @@ mod tests {
     }
 
     #[test]
-    fn whole_cells_are_rectangles_and_clipped_ones_disks() {
+    fn outlines_are_those_of_the_cells() {
         let mut mesh = square();
         mesh.triangles.truncate(1);
-        mesh.positions.iter_mut().for_each(|p| *p = Vec3::new(p.x + 0.1 * p.y, 0.3 * p.y, p.x));
+        // Stretched, sheared and turned.
+        mesh.positions.iter_mut().for_each(|p| *p = Vec3::new(p.x + 0.4 * p.y, 0.3 * p.y, p.x));
+        let corners = mesh.triangles[0].map(|i| mesh.positions[i as usize]);
+        let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize();
         let cloth = Material { double_sided: true, ..Material::default() };
-        let surfels = dice(&scene_of(mesh, cloth), Spacing::Length(0.1), TwoSided::Material);
-        // Edges √2 and √0.1 long, 13° off a right angle.
-        let (u, v) = (Vec3::new(1.0, 0.0, 1.0) / 15.0, Vec3::new(0.1, 0.3, 0.0) / 4.0);
-        let long = if u.length() > v.length() { u } else { v };
-        let mut tiles = 0;
-        for surfel in &surfels {
-            let Some([a, b]) = surfel.half_edges() else {
-                assert!(!surfel.tile().is_known());
-                continue;
-            };
-            let area = u.cross(v).length();
-            if surfel.area < 0.999 * area {
-                // Clipped to a sliver.
-                assert!(a.length() > 1.7 * b.length());
-                continue;
+        for spacing in [0.05, 0.3, 10.0] {
+            let scene = scene_of(mesh.clone(), cloth.clone());
+            let surfels = dice(&scene, Spacing::Length(spacing), TwoSided::Material);
+            let mut kinds = [0, 0];
+            for (i, surfel) in surfels.iter().enumerate() {
+                assert!((surfel.normal().dot(normal).abs() - 1.0).abs() < 1e-6);
+                let outline = match (surfel.half_edges(), surfel.corners()) {
+                    (Some([a, b]), None) => vec![a + b, a - b, -a - b, b - a],
+                    (None, Some(corners)) => corners.to_vec(),
+                    other => panic!("{other:?}"),
+                };
+                kinds[usize::from(outline.len() == 3)] += 1;
+                // Within the triangle, as well as codes of directions can tell: 0.76°.
+                for corner in outline {
+                    let place = surfel.center() + corner;
+                    let inside = (0..3).map(|k| {
+                        let (a, b) = (corners[k], corners[(k + 1) % 3]);
+                        normal.cross(b - a).normalize().dot(place - a)
+                    });
+                    let least = inside.fold(f32::INFINITY, f32::min);
+                    assert!(least > -0.02 * surfel.radius, "{i}: {least} of {}", surfel.radius);
+                }
             }
-            tiles += 1;
-            assert!((surfel.area / area - 1.0).abs() < 1e-4);
-            assert!((2.0 * a.length() / long.length() - 1.0).abs() < 1e-2);
-            assert!((4.0 * a.length() * b.length() / area - 1.0).abs() < 1e-4);
-            assert!(a.normalize().dot(long.normalize()).abs() > 0.999);
+            assert!((area_of(&surfels) / (2.0 * 0.5 * normal_area(corners)) - 1.0).abs() < 1e-5);
+            match spacing {
+                10.0 => assert_eq!(kinds, [0, 2], "a small triangle is its own micropolygon"),
+                _ => assert!(kinds[0] > 0 && kinds[1] > 0, "{kinds:?}"),
+            }
         }
-        assert!(tiles > 0 && tiles < surfels.len(), "{tiles} of {}", surfels.len());
     }
 
-    /// A disk that reached a sliver's corners would cover little of itself.
-    #[test]
-    fn slivers_are_rectangles_of_their_area() {
-        let mut mesh = square();
-        mesh.triangles.truncate(1);
-        let corners = mesh.triangles[0].map(|i| i as usize);
-        for (corner, place) in corners.into_iter().zip([[0.0, 0.0], [0.3, 0.0], [0.1, 0.02]]) {
-            mesh.positions[corner] = Vec3::new(place[0], place[1], 0.0);
-        }
-        let scene = scene_of(mesh, Material::default());
-        let [surfel] = dice(&scene, Spacing::Length(1.0), TwoSided::None)[..] else {
-            panic!("one cell")
-        };
-        let [long, short] = surfel.half_edges().unwrap();
-        assert!((surfel.area / (0.5 * 0.3 * 0.02) - 1.0).abs() < 1e-5);
-        assert!((2.0 * long.length() / (0.8 * 0.3) - 1.0).abs() < 0.01, "{long}");
-        assert!((4.0 * long.length() * short.length() / surfel.area - 1.0).abs() < 1e-4);
-        assert!(long.normalize().x.abs() > 0.999);
+    /// Area of the parallelogram over two edges of a triangle.
+    fn normal_area([a, b, c]: [Vec3; 3]) -> f64 {
+        f64::from((b - a).cross(c - a).length())
     }
 
     #[test]
-    fn parallelograms_are_cut_as_one() {
+    fn rectangles_are_cut_as_one() {
         let linen =
             Material { base_color: [1.0; 3], base_color_texture: Some(0), ..Material::default() };
         let texels = (0..64).map(|i| [(i % 8 * 32) as u8, (i / 8 * 32) as u8, 0, 255]);
@@ -489,7 +476,7 @@ mod tests {
         let tiled = |mesh: Mesh| {
             let surfels = dice(&scene(mesh), Spacing::Length(0.05), TwoSided::None);
             assert!((area_of(&surfels) - 1.0).abs() < 1e-5);
-            let tiles = surfels.iter().filter(|s| s.tile().is_known()).count();
+            let tiles = surfels.iter().filter(|s| s.half_edges().is_some()).count();
             (surfels, tiles == 400)
         };
         // Wherever the triangles start, the texture lies on them as on two.
@@ -509,7 +496,7 @@ mod tests {
                 }
             }
         }
-        // Neither texture nor colors linear, not flat, not parallel: two triangles.
+        // Neither texture nor colors linear, not flat, not parallel, no right angle: two triangles.
         let breaks: [fn(&mut Mesh); 2] = [
             |m| m.uvs[3].x += 0.01,
             |m| {
@@ -522,11 +509,15 @@ mod tests {
             break_mesh(&mut mesh);
             assert!(!tiled(mesh).1);
         }
-        for corner in [Vec3::new(0.0, 1.0, 0.001), Vec3::new(0.001, 1.0, 0.0)] {
+        for (corners, shift) in [
+            (&[3][..], Vec3::new(0.0, 0.0, 0.001)),
+            (&[3], Vec3::new(0.001, 0.0, 0.0)),
+            (&[2, 3], Vec3::new(0.02, 0.0, 0.0)),
+        ] {
             let mut mesh = square();
-            mesh.positions[3] = corner;
+            corners.iter().for_each(|&c: &usize| mesh.positions[c] += shift);
             let surfels = dice(&scene(mesh), Spacing::Length(0.05), TwoSided::None);
-            assert!(surfels.iter().any(|s| !s.tile().is_known()));
+            assert!(surfels.iter().any(|s| s.corners().is_some()));
         }
     }
 

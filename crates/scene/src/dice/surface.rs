@@ -1,6 +1,6 @@
 //! What the material of a mesh gives to a micropolygon.
 
-use super::lattice::{Cell, Lattice};
+use super::lattice::Cell;
 use crate::{Material, Mesh, Scene, Texture};
 use pbgi_math::{DVec3, Vec2};
 
@@ -96,12 +96,12 @@ impl TriangleSurface<'_> {
     /// Albedo and emission of `cell`, textures filtered over its size.
     pub fn shade(&self, cell: &Cell) -> Shade {
         let material = self.surface.material;
-        let uv = self.uv(cell.barycentric);
+        let uv = self.uv(cell.barycentric());
         let lookup = |texture: Option<&Texture>| {
             texture.map_or([1.0; 4], |t| t.sample_level(uv, self.texel_footprint(t, cell)))
         };
         let (texel, glow) = (lookup(self.surface.base_color), lookup(self.surface.emission));
-        let color = self.color(cell.barycentric);
+        let color = self.color(cell.barycentric());
         let diffuse = 1.0 - material.metallic.clamp(0.0, 1.0);
         Shade {
             albedo: std::array::from_fn(|c| {
@@ -112,7 +112,7 @@ impl TriangleSurface<'_> {
     }
 
     /// Share of `cell` that is not a hole, from up to 4 × 4 samples of the alpha.
-    pub fn opaque_fraction(&self, lattice: &Lattice, cell: &Cell) -> f64 {
+    pub fn opaque_fraction(&self, cell: &Cell) -> f64 {
         let Some(cutoff) = self.surface.material.alpha_cutoff else { return 1.0 };
         let Some(texture) = self.surface.base_color else {
             return f64::from(u8::from(cutoff <= 1.0));
@@ -121,7 +121,7 @@ impl TriangleSurface<'_> {
         let grid = 2.0 * self.texel_footprint(texture, cell);
         let grid = (grid.ceil() as u32).clamp(1, ALPHA_GRID_MAX);
         let (mut opaque, mut total) = (0u32, 0u32);
-        lattice.visit_grid(cell, grid, |barycentric| {
+        cell.visit_grid(grid, |barycentric| {
             total += 1;
             opaque += u32::from(texture.sample_alpha(self.uv(barycentric)) >= cutoff);
         });
@@ -142,6 +142,6 @@ impl TriangleSurface<'_> {
     /// Edge, in texels, of a square as large as `cell` in the texture.
     fn texel_footprint(&self, texture: &Texture, cell: &Cell) -> f32 {
         let texels = f64::from(texture.width()) * f64::from(texture.height());
-        (self.uv_density * cell.area * texels).sqrt() as f32
+        (self.uv_density * cell.area() * texels).sqrt() as f32
     }
 }

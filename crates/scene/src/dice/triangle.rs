@@ -1,13 +1,13 @@
-//! One triangle of an instance, or two as one parallelogram, from world positions to surfels.
+//! One triangle of an instance, or two as one rectangle, from world positions to surfels.
 
-use super::lattice::{Cell, Lattices, Rectangle, SKEW_COSINE_MAX};
+use super::lattice::{Cell, Lattice, Lattices, SKEW_COSINE_MAX};
 use super::surface::{Shade, Surface, TriangleSurface};
 use super::{RUN_TRIANGLES, TwoSided};
 use crate::{Instance, Mesh, Scene};
 use pbgi_cloud::{Surfel, SurfelFlags};
 use pbgi_math::{Affine3A, DVec3, encode_octahedral24};
 
-/// How far the fourth corner of a parallelogram may be off, as a share of its longer edge.
+/// How far the fourth corner of a rectangle may be off, as a share of its longer edge.
 const FLAT_TOLERANCE: f64 = 1e-4;
 
 /// An instance with its mesh and material.
@@ -30,28 +30,26 @@ pub(super) struct Triangle {
     pub area: f64,
 }
 
-/// What is diced as one: a triangle, or two that follow each other in the mesh and make up a parallelogram.
+/// What is diced as one: a triangle, or two that follow each other in the mesh and make up a rectangle.
 #[derive(Clone, Copy)]
 pub(super) struct Patch {
     index: usize,
     /// The first triangle.
     triangle: Triangle,
-    /// The second: which corner of the first lies opposite the edge they share, and the area of both.
-    parallelogram: Option<(usize, f64)>,
+    /// Of the second: which corner of the first lies opposite the edge they share.
+    rectangle: Option<usize>,
 }
 
 impl Patch {
     /// Triangles of the mesh in it.
     pub fn triangle_count(&self) -> usize {
-        if self.parallelogram.is_some() { 2 } else { 1 }
+        if self.rectangle.is_some() { 2 } else { 1 }
     }
 
     fn lattices(&self, spacing: f64) -> Lattices {
-        match self.parallelogram {
+        match self.rectangle {
             None => Lattices::new(self.triangle.positions, spacing),
-            Some((apex, area)) => {
-                Lattices::of_parallelogram(self.triangle.positions, apex, area, spacing)
-            }
+            Some(apex) => Lattices::of_rectangle(self.triangle.positions, apex, spacing),
         }
     }
 }
@@ -64,10 +62,70 @@ pub(super) struct DicedPatch<'a> {
     uniform: bool,
     /// Front first; position, size and, unless uniform, color are set per micropolygon.
     sides: [Surfel; 2],
-    /// Of the whole cells of each piece, for each side: orientation, and radius over the root of the area.
-    rectangles: [Option<[(u32, f32); 2]>; 2],
+    outlines: [Outlines; 2],
     side_count: usize,
     back_emits: bool,
+}
+
+/// What the cells of a piece have in common, for each side.
+#[derive(Clone, Copy, Default)]
+struct Outlines {
+    /// Of rectangles whose long edge is the first, and the second.
+    rectangles: [[Outline; 2]; 2],
+    /// Of triangles, and their radius over the root of their area.
+    triangles: [Outline; 2],
+    triangle_radius: f32,
+}
+
+/// What of a surfel does not depend on its size.
+#[derive(Clone, Copy, Default)]
+struct Outline {
+    orientation: u32,
+    flags: SurfelFlags,
+}
+
+impl Outlines {
+    fn new(piece: &Lattice, sides: [Surfel; 2], normal: DVec3) -> Self {
+        let outline =
+            |surfel: Surfel| Outline { orientation: surfel.orientation, flags: surfel.flags };
+        let sides = sides.map(|side| Surfel { area: 1.0, ..side });
+        // A row ends in a triangle, where there are any, and begins with a rectangle, unless that is all there is.
+        let cell = piece.cell(piece.column_count(0) - 1, 0);
+        if !cell.is_triangle {
+            return Self {
+                rectangles: rectangles(&cell, &sides).map(|s| s.map(outline)),
+                ..Self::default()
+            };
+        }
+        let (base, foot) = cell.base(normal);
+        let (base, foot) = ((base / cell.area().sqrt()).as_vec3(), foot as f32);
+        let triangles =
+            [sides[0].with_triangle(base, foot), sides[1].with_triangle(-base, 1.0 - foot)];
+        Self {
+            rectangles: rectangles(&cell, &sides).map(|s| s.map(outline)),
+            triangles: triangles.map(outline),
+            triangle_radius: triangles[0].radius,
+        }
+    }
+
+    /// What `side` of a cell of this area is, and its radius.
+    #[inline]
+    fn of(&self, cell: &Cell, area: f32, side: usize) -> (Outline, f32) {
+        if cell.is_triangle {
+            return (self.triangles[side], self.triangle_radius * area.sqrt());
+        }
+        let [u, v] = cell.edges().map(DVec3::length_squared);
+        let long = usize::from(v > u);
+        // Half the diagonal of the rectangle with these edges' ratio and the area.
+        let aspect = (u / v).sqrt() as f32;
+        (self.rectangles[long][side], 0.5 * (area * (aspect + 1.0 / aspect)).sqrt())
+    }
+}
+
+/// Surfels of rectangles along each edge of a cell.
+fn rectangles(cell: &Cell, sides: &[Surfel; 2]) -> [[Surfel; 2]; 2] {
+    cell.edges()
+        .map(|edge| sides.map(|side| side.with_tile(edge.normalize_or_zero().as_vec3(), 1.0)))
 }
 
 impl<'a> InstanceView<'a> {
@@ -123,12 +181,11 @@ impl<'a> InstanceView<'a> {
     /// The patch that starts with triangle `index`; `None` if that has no area.
     pub fn patch(&self, index: usize) -> Option<Patch> {
         let triangle = self.triangle(index)?;
-        Some(Patch { index, triangle, parallelogram: self.find_parallelogram(index, &triangle) })
+        Some(Patch { index, triangle, rectangle: self.find_rectangle(index, &triangle) })
     }
 
-    /// Whether triangle `index` and the next one make up a parallelogram not too far from a rectangle; see
-    /// [`Patch::parallelogram`]. Pairs stay within runs of [`RUN_TRIANGLES`], so that those can be counted apart.
-    fn find_parallelogram(&self, index: usize, first: &Triangle) -> Option<(usize, f64)> {
+    /// Whether triangle `index` and the next one make up a rectangle; see [`Patch::rectangle`]. Pairs stay within runs of [`RUN_TRIANGLES`], so that those can be counted apart.
+    fn find_rectangle(&self, index: usize, first: &Triangle) -> Option<usize> {
         let next = index + 1;
         if next.is_multiple_of(RUN_TRIANGLES) || next >= self.mesh.triangles.len() {
             return None;
@@ -143,8 +200,7 @@ impl<'a> InstanceView<'a> {
         let size = u.length().max(v.length());
         let is_parallelogram = (p[i] + u + v).distance(q[j]) <= FLAT_TOLERANCE * size;
         let is_skew = u.dot(v).abs() > SKEW_COSINE_MAX * u.length() * v.length();
-        (is_parallelogram && !is_skew && self.surface.is_linear([index, next], [i, j]))
-            .then_some((i, first.area + second.area))
+        (is_parallelogram && !is_skew && self.surface.is_linear([index, next], [i, j])).then_some(i)
     }
 
     /// Surfels of a patch.
@@ -170,21 +226,14 @@ impl<'a> InstanceView<'a> {
             ..Surfel::default()
         };
         let sides = [side(normal), side(-normal)];
-        let rectangles = lattices.pieces.map(|piece| {
-            let rectangle = piece.rectangle()?;
-            let (edge, aspect) = (rectangle.direction.as_vec3(), rectangle.aspect as f32);
-            Some(sides.map(|side| {
-                let unit = Surfel { area: 1.0, ..side }.with_tile(edge, aspect);
-                (unit.orientation, unit.radius)
-            }))
-        });
+        let outlines = lattices.pieces.map(|piece| Outlines::new(&piece, sides, triangle.normal));
         let mut diced = DicedPatch {
             lattices,
             surface,
             masked: self.is_masked(),
             uniform: self.surface.is_uniform(),
             sides,
-            rectangles,
+            outlines,
             side_count: if self.two_sided { 2 } else { 1 },
             back_emits: self.surface.material.double_sided,
         };
@@ -203,8 +252,7 @@ impl DicedPatch<'_> {
         let mut count = 0;
         for lattice in &self.lattices.pieces[..self.lattices.piece_count] {
             for row in 0..lattice.row_count() {
-                let fraction =
-                    |column| self.surface.opaque_fraction(lattice, &lattice.cell(column, row));
+                let fraction = |column| self.surface.opaque_fraction(&lattice.cell(column, row));
                 let columns = 0..lattice.column_count(row);
                 count += columns.filter(|&column| fraction(column) > 0.0).count() as u64;
             }
@@ -215,11 +263,7 @@ impl DicedPatch<'_> {
     /// Appends the surfels of `cell` of a piece: one, two back to back, or none if it is a hole.
     #[inline]
     pub fn push_surfels(&mut self, piece: usize, cell: &Cell, out: &mut Vec<Surfel>) {
-        let opaque = if self.masked {
-            self.surface.opaque_fraction(&self.lattices.pieces[piece], cell)
-        } else {
-            1.0
-        };
+        let opaque = if self.masked { self.surface.opaque_fraction(cell) } else { 1.0 };
         if opaque == 0.0 {
             return;
         }
@@ -227,23 +271,13 @@ impl DicedPatch<'_> {
             let shade = self.surface.shade(cell);
             self.set_shade(shade);
         }
-        let position = cell.center.as_vec3().to_array();
+        let position = cell.center().as_vec3().to_array();
         // Slivers may vanish in f32.
-        let area = ((cell.area * opaque) as f32).max(f32::MIN_POSITIVE);
-        let radius = ((cell.radius * opaque.sqrt()) as f32).max(f32::MIN_POSITIVE);
-        let rectangles = self.rectangles[piece].filter(|_| cell.whole);
+        let area = ((cell.area() * opaque) as f32).max(f32::MIN_POSITIVE);
         for (k, side) in self.sides[..self.side_count].iter().enumerate() {
-            let (orientation, radius) = match rectangles.map(|sides| sides[k]) {
-                Some((orientation, ratio)) => (orientation, ratio * area.sqrt()),
-                None => (side.orientation, radius),
-            };
-            let surfel = Surfel { position, radius, area, orientation, ..*side };
-            out.push(match &cell.sliver {
-                Some(Rectangle { direction, aspect }) => {
-                    surfel.with_tile(direction.as_vec3(), *aspect as f32)
-                }
-                None => surfel,
-            });
+            let (Outline { orientation, flags }, radius) = self.outlines[piece].of(cell, area, k);
+            let radius = radius.max(f32::MIN_POSITIVE);
+            out.push(Surfel { position, radius, area, orientation, flags, ..*side });
         }
     }
 
