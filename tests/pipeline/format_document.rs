@@ -16,7 +16,7 @@ const BEGIN: &str = "<!-- dump: begin -->\n```text\n";
 const END: &str = "```\n<!-- dump: end -->\n";
 
 fn golden_path() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("golden/v2-five-surfels.pbgi")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("golden/v3-five-surfels.pbgi")
 }
 
 fn document_path() -> PathBuf {
@@ -27,15 +27,16 @@ fn is_blessing() -> bool {
     std::env::var_os("PBGI_BLESS").is_some()
 }
 
-/// Two oblong pieces of floor, a double-sided card, and a point without a normal.
+/// An oblong and a triangular piece of floor, a double-sided card, and a point without a normal.
 fn five_surfels() -> Vec<Surfel> {
-    // 0.25 × 0.125.
-    let floor = |x: f32| {
-        Surfel::new(Vec3::new(x, 0.0, 0.25), Vec3::Y, 0.125, 0.03125)
+    let floor = |x: f32, area: f32| {
+        Surfel::new(Vec3::new(x, 0.0, 0.25), Vec3::Y, 0.125, area)
             .with_radiance([0.5, 0.25, 0.125])
             .with_albedo([0.75, 0.5, 0.25])
-            .with_tile(Vec3::X, 2.0)
     };
+    // 0.25 × 0.125, and its half.
+    let oblong = floor(0.0, 0.03125).with_tile(Vec3::X, 2.0);
+    let corner = floor(0.25, 0.015625).with_triangle(Vec3::new(0.25, 0.0, -0.125), 0.8);
     let card = |normal: Vec3, radiance: f32| {
         Surfel::new(Vec3::splat(0.5), normal, 0.25, 0.125)
             .with_radiance([radiance; 3])
@@ -45,7 +46,7 @@ fn five_surfels() -> Vec<Surfel> {
         .with_radiance([64.0, 16.0, 1.0])
         .with_flags(SurfelFlags::ISOTROPIC);
     let slant = Vec3::new(0.6, 0.8, 0.0);
-    vec![floor(0.0), floor(0.25), card(slant, 2.0), card(-slant, 0.0), ember]
+    vec![oblong, corner, card(slant, 2.0), card(-slant, 0.0), ember]
 }
 
 fn build() -> Vec<u8> {
@@ -88,10 +89,14 @@ fn todays_reader_reads_the_golden_file() {
 }
 
 #[test]
-fn files_of_version_1_are_refused() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("golden/v1-five-surfels.pbgi");
-    let error = Octree::open(&path, &OpenOptions::default()).err().unwrap().to_string();
-    assert!(error.contains("header: version: found 1, expected 2"), "{error}");
+fn files_of_older_versions_are_refused() {
+    for version in [1, 2] {
+        let name = format!("golden/v{version}-five-surfels.pbgi");
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(name);
+        let error = Octree::open(&path, &OpenOptions::default()).err().unwrap().to_string();
+        let expected = format!("header: version: found {version}, expected 3");
+        assert!(error.contains(&expected), "{error}");
+    }
 }
 
 #[test]
@@ -277,6 +282,18 @@ impl<'a> Dump<'a> {
             })),
         };
         fields.push(("orientation".into(), orientation_bits));
+        if orientation != 1 {
+            let foot_bits = match self.bytes[self.at] {
+                0 | 255 => match self.show_u8("feet: 0 none, 255 of each surfel:") {
+                    0 => 0,
+                    _ => 7,
+                },
+                _ => {
+                    index_bits(self.list("feet", 1, |b| format!("{} of 126", i32::from(b[0]) - 1)))
+                }
+            };
+            fields.push(("foot".into(), foot_bits));
+        }
         for (axis, bits) in width.into_iter().enumerate() {
             let is_height = orientation == 3 && axis == 2;
             if bits == 0 || is_height {

@@ -72,9 +72,10 @@ fn ptc_files_go_out_and_come_in_again() {
     let is_close = |a: f64, b: f64| (a - b).abs() <= 1e-3 * b.abs();
     assert!(is_close(after.area_total, before.area_total));
     assert!((0..3).all(|k| is_close(after.flux_total[k], before.flux_total[k])));
+    // These files know disks only: their boxes end a little elsewhere than those of triangles.
     let moved = |k: usize| (after.bounds_max[k] - before.bounds_max[k]).abs();
     assert!(
-        (0..3).all(|k| moved(k) <= 1e-4 * f64::from(before.cube_edge)),
+        (0..3).all(|k| moved(k) <= 1e-3 * f64::from(before.cube_edge)),
         "{:?}",
         [0, 1, 2].map(moved)
     );

@@ -52,8 +52,8 @@ fn room_for_octrees_between_passes_is_stated() {
     let bench = Bench::new();
     for (bounces, expected) in [
         ("0", "at most 0 bytes for temporary files, given back"),
-        // 20 bytes for each of 4032 surfels, and twice that.
-        ("1", "at most 78.8 KiB for temporary files, octrees between passes of light among them"),
+        // 20 bytes for each of 4040 surfels, and twice that.
+        ("1", "at most 78.9 KiB for temporary files, octrees between passes of light among them"),
         ("2", "at most 158 KiB for temporary files, octrees between passes of light among them"),
     ] {
         let run = bench.run(&[
