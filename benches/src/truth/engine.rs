@@ -29,14 +29,15 @@ const fn setting(
 }
 
 /// Settings beside the default, from coarse to fine; those of one density follow each other.
-pub const LADDER: [Setting; 7] = [
+pub const LADDER: [Setting; 8] = [
     setting(0.1, 0.3, 4, 1),
     setting(1.0, 0.2, 6, 2),
-    setting(1.0, 0.03, 8, 3),
-    setting(1.0, 0.01, 12, 4),
+    setting(1.0, 0.08, 8, 3),
+    setting(1.0, 0.01, 16, 4),
+    setting(4.0, 0.2, 8, 2),
     setting(4.0, 0.08, 8, 2),
-    setting(4.0, 0.02, 12, 3),
-    setting(4.0, 0.008, 16, 4),
+    setting(4.0, 0.02, 16, 3),
+    setting(4.0, 0.008, 24, 4),
 ];
 
 impl Default for Setting {

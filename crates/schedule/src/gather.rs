@@ -57,9 +57,9 @@ pub struct GatherSettings {
 impl Default for GatherSettings {
     fn default() -> Self {
         Self {
-            solid_angle_sr: 0.08,
+            solid_angle_sr: 0.03,
             importance: ImportanceTerms::ALL,
-            raster_edge: 8,
+            raster_edge: 16,
             lobe_level: 3,
             bias: 0.4,
             parts: GatherParts::All,

@@ -276,6 +276,28 @@ impl Cell {
         (base, (apex - from).dot(base) / base.length_squared())
     }
 
+    /// The four like it of half the size. The last part of a triangle lies amid the others, turned by half a circle.
+    pub fn parts(&self) -> [Self; 4] {
+        let [u, v] = self.edges.map(|edge| edge.share(0.5));
+        let part = |x: f64, y: f64, edges| Self {
+            corner: self.corner.step(&u, x).step(&v, y),
+            edges,
+            ..*self
+        };
+        let last = if self.is_triangle { [u, v].map(|edge| edge.share(-1.0)) } else { [u, v] };
+        [
+            part(0.0, 0.0, [u, v]),
+            part(1.0, 0.0, [u, v]),
+            part(0.0, 1.0, [u, v]),
+            part(1.0, 1.0, last),
+        ]
+    }
+
+    /// Whether it is turned by half a circle against `other`, of whose lattice it is.
+    pub fn is_turned(&self, other: DVec3) -> bool {
+        self.edges[0].position.dot(other) < 0.0
+    }
+
     /// Barycentric coordinates of the points of a regular `edge` × `edge` grid over the cell that lie
     /// in it; the centroid if none does. Calls `visit` with each.
     pub fn visit_grid(&self, edge: u32, mut visit: impl FnMut(DVec3)) {
@@ -395,6 +417,26 @@ pub(super) mod tests {
                 // Of random points none lies on an edge.
                 assert_eq!(cells.iter().filter(holds).count(), 1, "{point} of {t:?}");
             }
+        }
+    }
+
+    #[test]
+    fn parts_tile_their_cell() {
+        let mut next = random(5);
+        for _ in 0..100 {
+            let t = random_triangle(&mut next);
+            visit_cells(&Lattices::new(t, 0.5 + next()), |cell| {
+                let parts = cell.parts();
+                let area: f64 = parts.iter().map(Cell::area).sum();
+                assert!((area / cell.area() - 1.0).abs() < 1e-6);
+                let moment = parts.iter().fold(DVec3::ZERO, |sum, p| sum + p.center() * p.area());
+                assert!((moment / area - cell.center()).length() < 1e-6);
+                for (i, part) in parts.iter().enumerate() {
+                    assert_eq!(part.is_turned(cell.edges()[0]), cell.is_triangle && i == 3);
+                    let within = |b: DVec3| b.min_element() > -1e-9;
+                    part.visit_grid(4, |b| assert!(within(b), "{b}"));
+                }
+            });
         }
     }
 

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use std::ops::Range;
 use triangle::{DicedPatch, InstanceView, Patch};
 
-/// Surfels appended by one call of [`SurfelSource::read_chunk`], give or take one.
+/// Surfels appended by one call of [`SurfelSource::read_chunk`], give or take those of one cell.
 const CHUNK_SURFELS: usize = 4096;
 
 /// Triangles of one task when counting; no two triangles of different runs are diced as one.
@@ -83,8 +83,8 @@ pub enum DiceError {
 /// show, are cut as one. A micropolygon's surfel lies at its centroid, stands for exactly its rectangle or triangle
 /// ([`Surfel::with_tile`], [`Surfel::with_triangle`]), and has the triangle's geometric normal, its filtered albedo, and its emission as radiance: the
 /// outlines of all surfels cover each triangle without holes and without overlap. Where a
-/// mask cuts holes, the area is scaled by the opaque share, the radius by its root, and what is all
-/// hole is left out.
+/// mask cuts holes, micropolygons are quartered, up to twice; of what is partly hole then, the area is scaled by the opaque share, the radius by
+/// its root, and what is all hole is left out.
 ///
 /// Triangles without area are skipped and counted.
 pub struct DicedScene<'a> {
@@ -386,7 +386,7 @@ mod tests {
         loop {
             let before = surfels.len();
             let more = diced.read_chunk(&mut surfels).unwrap();
-            assert!(surfels.len() - before <= CHUNK_SURFELS + 1);
+            assert!(surfels.len() - before < CHUNK_SURFELS + triangle::CELL_SURFELS_MAX);
             if !more {
                 return surfels;
             }

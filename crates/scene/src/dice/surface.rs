@@ -20,6 +20,7 @@ pub(super) struct Surface<'a> {
 }
 
 /// One triangle of a [`Surface`].
+#[derive(Clone, Copy)]
 pub(super) struct TriangleSurface<'a> {
     surface: Surface<'a>,
     uvs: [Vec2; 3],

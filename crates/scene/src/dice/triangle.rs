@@ -10,6 +10,13 @@ use pbgi_math::{Affine3A, DVec3, encode_octahedral24};
 /// How far the fourth corner of a rectangle may be off, as a share of its longer edge.
 const FLAT_TOLERANCE: f64 = 1e-4;
 
+/// How often cells at the edge of a hole are halved.
+const HOLE_HALVINGS: u32 = 2;
+
+/// Most surfels of one cell: all its parts, both sides.
+#[cfg(test)]
+pub(super) const CELL_SURFELS_MAX: usize = 2 << (2 * HOLE_HALVINGS);
+
 /// An instance with its mesh and material.
 #[derive(Clone, Copy)]
 pub(super) struct InstanceView<'a> {
@@ -72,9 +79,11 @@ pub(super) struct DicedPatch<'a> {
 struct Outlines {
     /// Of rectangles whose long edge is the first, and the second.
     rectangles: [[Outline; 2]; 2],
-    /// Of triangles, and their radius over the root of their area.
-    triangles: [Outline; 2],
+    /// Of triangles, and of those turned by half a circle; and their radius over the root of their area.
+    triangles: [[Outline; 2]; 2],
     triangle_radius: f32,
+    /// Along the first edge of a triangle that is not turned.
+    edge: DVec3,
 }
 
 /// What of a surfel does not depend on its size.
@@ -99,12 +108,15 @@ impl Outlines {
         }
         let (base, foot) = cell.base(normal);
         let (base, foot) = ((base / cell.area().sqrt()).as_vec3(), foot as f32);
-        let triangles =
-            [sides[0].with_triangle(base, foot), sides[1].with_triangle(-base, 1.0 - foot)];
+        // Turned, the longest edge runs the other way; seen from behind, from its end.
+        let triangles = [base, -base].map(|base| {
+            [sides[0].with_triangle(base, foot), sides[1].with_triangle(-base, 1.0 - foot)]
+        });
         Self {
             rectangles: rectangles(&cell, &sides).map(|s| s.map(outline)),
-            triangles: triangles.map(outline),
-            triangle_radius: triangles[0].radius,
+            triangles: triangles.map(|sides| sides.map(outline)),
+            triangle_radius: triangles[0][0].radius,
+            edge: cell.edges()[0],
         }
     }
 
@@ -112,7 +124,8 @@ impl Outlines {
     #[inline]
     fn of(&self, cell: &Cell, area: f32, side: usize) -> (Outline, f32) {
         if cell.is_triangle {
-            return (self.triangles[side], self.triangle_radius * area.sqrt());
+            let turned = usize::from(cell.is_turned(self.edge));
+            return (self.triangles[turned][side], self.triangle_radius * area.sqrt());
         }
         let [u, v] = cell.edges().map(DVec3::length_squared);
         let long = usize::from(v > u);
@@ -252,21 +265,31 @@ impl DicedPatch<'_> {
         let mut count = 0;
         for lattice in &self.lattices.pieces[..self.lattices.piece_count] {
             for row in 0..lattice.row_count() {
-                let fraction = |column| self.surface.opaque_fraction(&lattice.cell(column, row));
-                let columns = 0..lattice.column_count(row);
-                count += columns.filter(|&column| fraction(column) > 0.0).count() as u64;
+                for column in 0..lattice.column_count(row) {
+                    let cell = lattice.cell(column, row);
+                    visit_opaque(&self.surface, &cell, HOLE_HALVINGS, &mut |_, _| count += 1);
+                }
             }
         }
         count
     }
 
-    /// Appends the surfels of `cell` of a piece: one, two back to back, or none if it is a hole.
+    /// Appends the surfels of `cell` of a piece: one, or two back to back, or none if it is a hole; more if it has holes.
     #[inline]
     pub fn push_surfels(&mut self, piece: usize, cell: &Cell, out: &mut Vec<Surfel>) {
-        let opaque = if self.masked { self.surface.opaque_fraction(cell) } else { 1.0 };
-        if opaque == 0.0 {
-            return;
+        if self.masked {
+            let surface = self.surface;
+            visit_opaque(&surface, cell, HOLE_HALVINGS, &mut |part, opaque| {
+                self.push_opaque(piece, part, opaque, out);
+            });
+        } else {
+            self.push_opaque(piece, cell, 1.0, out);
         }
+    }
+
+    /// Appends the surfels of a cell of which the share `opaque` is no hole.
+    #[inline]
+    fn push_opaque(&mut self, piece: usize, cell: &Cell, opaque: f64, out: &mut Vec<Surfel>) {
         if !self.uniform {
             let shade = self.surface.shade(cell);
             self.set_shade(shade);
@@ -287,5 +310,25 @@ impl DicedPatch<'_> {
         for (side, emission) in self.sides.iter_mut().zip(emissions) {
             *side = side.with_albedo(shade.albedo).with_radiance(emission);
         }
+    }
+}
+
+/// Visits what of a cell is no hole, with the share that is none: all of it, or where a part is hole, its parts, halved up to
+/// `halvings` times.
+fn visit_opaque(
+    surface: &TriangleSurface<'_>,
+    cell: &Cell,
+    halvings: u32,
+    visit: &mut dyn FnMut(&Cell, f64),
+) {
+    let opaque = surface.opaque_fraction(cell);
+    if opaque == 0.0 {
+        return;
+    }
+    if opaque == 1.0 || halvings == 0 {
+        return visit(cell, opaque);
+    }
+    for part in cell.parts() {
+        visit_opaque(surface, &part, halvings - 1, visit);
     }
 }
