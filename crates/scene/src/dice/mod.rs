@@ -83,7 +83,7 @@ pub enum DiceError {
 /// show, are cut as one. A micropolygon's surfel lies at its centroid, stands for exactly its rectangle or triangle
 /// ([`Surfel::with_tile`], [`Surfel::with_triangle`]), and has the triangle's geometric normal, its filtered albedo, and its emission as radiance: the
 /// outlines of all surfels cover each triangle without holes and without overlap. Where a
-/// mask cuts holes, micropolygons are quartered, up to twice; of what is partly hole then, the area is scaled by the opaque share, the radius by
+/// mask cuts holes, micropolygons near as large as the spacing are quartered, up to twice; of what is partly hole then, the area is scaled by the opaque share, the radius by
 /// its root, and what is all hole is left out.
 ///
 /// Triangles without area are skipped and counted.

@@ -10,12 +10,12 @@ use pbgi_math::{Affine3A, DVec3, encode_octahedral24};
 /// How far the fourth corner of a rectangle may be off, as a share of its longer edge.
 const FLAT_TOLERANCE: f64 = 1e-4;
 
-/// How often cells at the edge of a hole are halved.
-const HOLE_HALVINGS: u32 = 2;
+/// Cells at the edge of a hole are quartered while the root of their area is above this share of the spacing: twice at most.
+const HOLE_SHARE_MIN: f64 = 0.3;
 
 /// Most surfels of one cell: all its parts, both sides.
 #[cfg(test)]
-pub(super) const CELL_SURFELS_MAX: usize = 2 << (2 * HOLE_HALVINGS);
+pub(super) const CELL_SURFELS_MAX: usize = 2 * 16;
 
 /// An instance with its mesh and material.
 #[derive(Clone, Copy)]
@@ -66,6 +66,8 @@ pub(super) struct DicedPatch<'a> {
     pub lattices: Lattices,
     surface: TriangleSurface<'a>,
     masked: bool,
+    /// Area below which cells with holes are not quartered.
+    part_area_min: f64,
     uniform: bool,
     /// Front first; position, size and, unless uniform, color are set per micropolygon.
     sides: [Surfel; 2],
@@ -229,7 +231,8 @@ impl<'a> InstanceView<'a> {
     /// Cuts a patch.
     pub fn dice(&self, patch: &Patch, spacing: f64) -> DicedPatch<'a> {
         let triangle = &patch.triangle;
-        let lattices = patch.lattices(spacing * self.spacing_factor);
+        let spacing = spacing * self.spacing_factor;
+        let lattices = patch.lattices(spacing);
         let surface = self.surface.triangle(patch.index, triangle.area);
         let flags = if self.two_sided { SurfelFlags::FRONT_ONLY } else { SurfelFlags::default() };
         let normal = triangle.normal.as_vec3();
@@ -244,6 +247,7 @@ impl<'a> InstanceView<'a> {
             lattices,
             surface,
             masked: self.is_masked(),
+            part_area_min: (HOLE_SHARE_MIN * spacing).powi(2),
             uniform: self.surface.is_uniform(),
             sides,
             outlines,
@@ -267,7 +271,7 @@ impl DicedPatch<'_> {
             for row in 0..lattice.row_count() {
                 for column in 0..lattice.column_count(row) {
                     let cell = lattice.cell(column, row);
-                    visit_opaque(&self.surface, &cell, HOLE_HALVINGS, &mut |_, _| count += 1);
+                    visit_opaque(&self.surface, &cell, self.part_area_min, &mut |_, _| count += 1);
                 }
             }
         }
@@ -279,7 +283,7 @@ impl DicedPatch<'_> {
     pub fn push_surfels(&mut self, piece: usize, cell: &Cell, out: &mut Vec<Surfel>) {
         if self.masked {
             let surface = self.surface;
-            visit_opaque(&surface, cell, HOLE_HALVINGS, &mut |part, opaque| {
+            visit_opaque(&surface, cell, self.part_area_min, &mut |part, opaque| {
                 self.push_opaque(piece, part, opaque, out);
             });
         } else {
@@ -313,22 +317,22 @@ impl DicedPatch<'_> {
     }
 }
 
-/// Visits what of a cell is no hole, with the share that is none: all of it, or where a part is hole, its parts, halved up to
-/// `halvings` times.
+/// Visits what of a cell is no hole, with the share that is none: all of it, or where a part is hole, its parts, quartered while
+/// they have more than `area_min`.
 fn visit_opaque(
     surface: &TriangleSurface<'_>,
     cell: &Cell,
-    halvings: u32,
+    area_min: f64,
     visit: &mut dyn FnMut(&Cell, f64),
 ) {
     let opaque = surface.opaque_fraction(cell);
     if opaque == 0.0 {
         return;
     }
-    if opaque == 1.0 || halvings == 0 {
+    if opaque == 1.0 || cell.area() <= area_min {
         return visit(cell, opaque);
     }
     for part in cell.parts() {
-        visit_opaque(surface, &part, halvings - 1, visit);
+        visit_opaque(surface, &part, area_min, visit);
     }
 }
