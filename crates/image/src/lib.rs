@@ -27,6 +27,6 @@ pub use environment::{read_environment, read_hdr};
 pub use error::ImageError;
 pub use exr_read::{read_exr, read_stored_exr};
 pub use exr_write::{LAYOUT_ATTRIBUTES, write_environment_exr, write_exr, write_windowed_exr};
-pub use metrics::{ErrorMetrics, MetricsError, compare};
+pub use metrics::{ErrorMetrics, MetricsError, compare, squared_errors};
 pub use png::write_png;
 pub use tone::{ToneMap, auto_exposure};

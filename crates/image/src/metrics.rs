@@ -62,6 +62,46 @@ pub enum MetricsError {
 /// [`MetricsError`] for sets of different length, values that are not finite, and references whose
 /// mean is not above 0.
 pub fn compare(result: &[f32], reference: &[f32]) -> Result<ErrorMetrics, MetricsError> {
+    let mean = reference_mean(result, reference)?;
+    let count = reference.len() as f64;
+    let scaled = || scaled(result, reference, mean);
+    let squares: f64 = scaled().map(squared_error).sum();
+    let differences: f64 = scaled().map(|(x, r)| x - r).sum();
+    let mut relative: Vec<f64> = scaled().map(|(x, r)| (x - r).abs() / (r + 0.01)).collect();
+    relative.sort_unstable_by(f64::total_cmp);
+    Ok(ErrorMetrics {
+        rrmse: (squares / count).sqrt(),
+        bias: differences / count,
+        p50: percentile(&relative, 0.50),
+        p95: percentile(&relative, 0.95),
+        p99: percentile(&relative, 0.99),
+        max: percentile(&relative, 1.0),
+        reference_mean: mean,
+    })
+}
+
+/// The squared relative error of every value, `(x − r)² / (r² + 0.01)`: their mean is the square of [`ErrorMetrics::rrmse`].
+///
+/// # Errors
+///
+/// As [`compare`].
+pub fn squared_errors(result: &[f32], reference: &[f32]) -> Result<Vec<f64>, MetricsError> {
+    let mean = reference_mean(result, reference)?;
+    Ok(scaled(result, reference, mean).map(squared_error).collect())
+}
+
+/// Pairs of result and reference over the reference's mean.
+fn scaled(result: &[f32], reference: &[f32], mean: f64) -> impl Iterator<Item = (f64, f64)> {
+    let pairs = result.iter().zip(reference);
+    pairs.map(move |(x, r)| (f64::from(*x) / mean, f64::from(*r) / mean))
+}
+
+fn squared_error((x, r): (f64, f64)) -> f64 {
+    (x - r) * (x - r) / (r * r + 0.01)
+}
+
+/// The mean of the reference, if the two can be compared.
+fn reference_mean(result: &[f32], reference: &[f32]) -> Result<f64, MetricsError> {
     if result.len() != reference.len() {
         let (result, reference) = (result.len(), reference.len());
         return Err(MetricsError::Lengths { result, reference });
@@ -76,20 +116,7 @@ pub fn compare(result: &[f32], reference: &[f32]) -> Result<ErrorMetrics, Metric
     if mean <= 0.0 {
         return Err(MetricsError::DarkReference { mean });
     }
-    let scaled = || pairs().map(|(x, r)| (f64::from(*x) / mean, f64::from(*r) / mean));
-    let squares: f64 = scaled().map(|(x, r)| (x - r) * (x - r) / (r * r + 0.01)).sum();
-    let differences: f64 = scaled().map(|(x, r)| x - r).sum();
-    let mut relative: Vec<f64> = scaled().map(|(x, r)| (x - r).abs() / (r + 0.01)).collect();
-    relative.sort_unstable_by(f64::total_cmp);
-    Ok(ErrorMetrics {
-        rrmse: (squares / count).sqrt(),
-        bias: differences / count,
-        p50: percentile(&relative, 0.50),
-        p95: percentile(&relative, 0.95),
-        p99: percentile(&relative, 0.99),
-        max: percentile(&relative, 1.0),
-        reference_mean: mean,
-    })
+    Ok(mean)
 }
 
 /// Value at `fraction` of the way through `sorted`, which is not empty.
@@ -117,6 +144,8 @@ mod tests {
         let metrics = compare(&[1.0, 5.0], &[0.0, 4.0]).unwrap();
         let expected = ((0.25 / 0.01 + 0.25 / 4.01) / 2.0f64).sqrt();
         assert!((metrics.rrmse - expected).abs() < 1e-12);
+        let squares = squared_errors(&[1.0, 5.0], &[0.0, 4.0]).unwrap();
+        assert_eq!(squares, [0.25 / 0.01, 0.25 / 4.01]);
         assert!((metrics.bias - 0.5).abs() < 1e-12);
         let (low, high) = (0.5 / 2.01, 0.5 / 0.01);
         assert!((metrics.p50 - (low + high) / 2.0).abs() < 1e-9);

@@ -1,6 +1,6 @@
 //! The measured error of a result: a sample of its receivers gathered again, exhaustively.
 
-use pbgi_image::{ErrorMetrics, MetricsError, compare};
+use pbgi_image::{ErrorMetrics, MetricsError, compare, squared_errors};
 use pbgi_schedule::{Receiver, Shading};
 use serde::Serialize;
 use std::collections::BinaryHeap;
@@ -157,21 +157,59 @@ fn measure<'a>(
     results: impl Iterator<Item = &'a Shading>,
     references: &[Shading],
 ) -> Result<(ErrorMetrics, bool), MetricsError> {
-    let lit = references.iter().any(|s| s.irradiance().iter().any(|c| *c > 0.0));
-    let values = |shading: &Shading| match lit {
-        true => shading.irradiance().to_vec(),
-        false => vec![shading.ambient_occlusion],
-    };
-    let results: Vec<f32> = results.flat_map(values).collect();
-    let truths: Vec<f32> = references.iter().flat_map(values).collect();
+    let lit = is_lit(references);
+    let results: Vec<f32> = results.flat_map(|s| judged(s, lit)).collect();
+    let truths: Vec<f32> = references.iter().flat_map(|s| judged(s, lit)).collect();
     Ok((compare(&results, &truths)?, lit))
 }
 
-/// Relative root mean square error of a sample: the larger of that of irradiance, or ambient occlusion where there is no light, and that of gloss.
-pub(crate) fn sample_error(results: &[Shading], references: &[Shading]) -> f64 {
-    let light = measure(results.iter(), references).map_or(0.0, |(metrics, _)| metrics.rrmse);
-    let gloss = AloneReport::of_gloss(results.iter(), references).map_or(0.0, |g| g.rrmse);
-    light.max(gloss)
+fn is_lit(references: &[Shading]) -> bool {
+    references.iter().any(|s| s.irradiance().iter().any(|c| *c > 0.0))
+}
+
+/// What of a shading is judged besides gloss.
+fn judged(shading: &Shading, lit: bool) -> Vec<f32> {
+    if lit { shading.irradiance().to_vec() } else { vec![shading.ambient_occlusion] }
+}
+
+/// Relative root mean square error of a sample of receivers, and what it says of others.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct SampleError {
+    /// That of the sample.
+    pub rrmse: f64,
+    /// What that of another sample of the size is below, with two standard errors: squares are means of few large ones.
+    pub bound: f64,
+}
+
+impl SampleError {
+    /// The larger of that of irradiance, or ambient occlusion where there is no light, and that of gloss; 0 of what is dark.
+    pub fn new(results: &[Shading], references: &[Shading]) -> Self {
+        let lit = is_lit(references);
+        let light = Self::of(results, references, |s| judged(s, lit));
+        let gloss = Self::of(results, references, |s| s.reflected.to_vec());
+        Self { rrmse: light.rrmse.max(gloss.rrmse), bound: light.bound.max(gloss.bound) }
+    }
+
+    fn of(
+        results: &[Shading],
+        references: &[Shading],
+        values: impl Fn(&Shading) -> Vec<f32>,
+    ) -> Self {
+        let all = |shadings: &[Shading]| shadings.iter().flat_map(&values).collect::<Vec<f32>>();
+        let Ok(squares) = squared_errors(&all(results), &all(references)) else {
+            return Self::default();
+        };
+        // Channels of a receiver err alike.
+        let channels = squares.len() / references.len().max(1);
+        let receivers = squares.chunks_exact(channels.max(1));
+        let means: Vec<f64> = receivers.map(|c| c.iter().sum::<f64>() / channels as f64).collect();
+        let count = means.len() as f64;
+        let mean = means.iter().sum::<f64>() / count;
+        let variance =
+            means.iter().map(|m| (m - mean).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);
+        let bound = mean + 2.0 * (variance / count).sqrt();
+        Self { rrmse: mean.sqrt(), bound: bound.sqrt() }
+    }
 }
 
 impl CheckReport {
@@ -204,6 +242,28 @@ impl CheckReport {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_bound_is_two_standard_errors_above() {
+        let shading = |x: f32| Shading { ambient_occlusion: x, ..Shading::default() };
+        let truths = vec![shading(1.0); 100];
+        let found: Vec<Shading> =
+            (0..100).map(|i| shading(if i % 10 == 0 { 1.2 } else { 1.0 })).collect();
+        let error = SampleError::new(&found, &truths);
+        let square = 0.04 / 1.01;
+        assert!((error.rrmse - f64::sqrt(0.1 * square)).abs() < 1e-6);
+        // The variance of a share p of 100 is p (1 − p) / 99.
+        let spread = f64::sqrt(0.1 * 0.9 / 99.0);
+        assert!((error.bound - f64::sqrt((0.1 + 2.0 * spread) * square)).abs() < 1e-6);
+        // Three channels that err alike tell no more than one.
+        let colored = |s: &[Shading]| -> Vec<Shading> {
+            let light =
+                |s: &Shading| Shading { reflected: [s.ambient_occlusion; 3], ..shading(1.0) };
+            s.iter().map(light).collect()
+        };
+        let gloss = SampleError::new(&colored(&found), &colored(&truths));
+        assert!((gloss.bound - error.bound).abs() < 1e-6);
+    }
 
     fn sample(count: u64, wanted: usize) -> Vec<Sampled> {
         let mut sample = CheckSample::new(wanted);

@@ -223,7 +223,9 @@ impl<'a> FrameJob<'a> {
         let small = |edge: u32| ((edge as f32 * scale) as u32).max(1);
         let (width, height) = (small(self.view.width), small(self.view.height));
         let view = CameraView { width, height, ..self.view.clone() };
-        let options = HideOptions { samples: 1, shading_rate: 1.0, window: None };
+        // Slivers at edges err most, and only samples within pixels see as many of them as the picture does.
+        let (samples, shading_rate) = (self.request.samples, self.request.shading_rate);
+        let options = HideOptions { samples, shading_rate, window: None };
         let pieces: Vec<Piece> = match self.request.scene {
             Some(scene) => {
                 hide(scene, &view, &options)?.micropolygons.iter().map(Piece::from).collect()

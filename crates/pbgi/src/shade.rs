@@ -656,9 +656,10 @@ impl ShadeReport {
         rows.push(("peak memory", format!("{peak} of {limit}")));
         if let Some(target) = &self.target {
             let chosen = format!(
-                "{:.4} sr: {} measured with {} receivers, {} asked for",
+                "{:.4} sr: {} (at most {}) measured with {} receivers, {} asked for",
                 target.solid_angle_sr,
                 percent(target.error),
+                percent(target.error_bound),
                 target.receivers,
                 percent(target.target)
             );

@@ -188,14 +188,17 @@ impl<'a> Gatherer<'a> {
             normal: receiver.normal,
             lanes: PhantomData,
         };
-        if terms == ImportanceTerms::OFF {
-            self.walker.pick(receiver, &uniform(self.settings.solid_angle_sr), &mut visitor)?;
-        } else {
-            let edge = self.settings.raster_edge as f32;
-            let texel_sr = SMALLEST_TEXEL_SR / (edge * edge);
-            let (user_sr, normal) = (self.settings.solid_angle_sr, receiver.normal);
-            let threshold = CubeThreshold { user_sr, texel_sr, normal, terms, stakes, lamps };
+        let user_sr = self.settings.solid_angle_sr;
+        let edge = self.settings.raster_edge as f32;
+        let texel_sr = SMALLEST_TEXEL_SR / (edge * edge);
+        let normal = receiver.normal;
+        let threshold = CubeThreshold { user_sr, texel_sr, normal, terms, stakes, lamps };
+        if !stakes.are_even() {
             self.walker.pick(receiver, &threshold, &mut visitor)?;
+        } else if terms.cosine || terms.quality {
+            self.walker.pick(receiver, &threshold.of_even_light(), &mut visitor)?;
+        } else {
+            self.walker.pick(receiver, &uniform(user_sr), &mut visitor)?;
         }
         let base = self.light.map(|l| &l.base);
         let diffuse =

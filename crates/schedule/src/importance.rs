@@ -158,7 +158,7 @@ impl<'a> Stakes<'a> {
     }
 
     /// Whether every direction is like any other.
-    fn are_even(&self) -> bool {
+    pub fn are_even(&self) -> bool {
         self.inverse == 0.0 || (self.surfaces.is_some() && self.sky.is_none())
     }
 
@@ -191,9 +191,9 @@ fn power_minus_two_thirds(x: f32) -> f32 {
     f32::from_bits(ONE / 3 * 5 - x.to_bits() / 3 * 2)
 }
 
-/// Thresholds of the cube raster.
+/// Thresholds of the cube raster. With `EVEN`, light is not weighed, which is for [`Stakes::are_even`].
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct CubeThreshold<'a> {
+pub(crate) struct CubeThreshold<'a, const EVEN: bool> {
     pub user_sr: f32,
     pub texel_sr: f32,
     pub normal: Vec3,
@@ -202,13 +202,21 @@ pub(crate) struct CubeThreshold<'a> {
     pub lamps: &'a Lamps,
 }
 
-impl Threshold for CubeThreshold<'_> {
+impl<'a> CubeThreshold<'a, false> {
+    /// The same thresholds at less cost, where light is even.
+    pub fn of_even_light(self) -> CubeThreshold<'a, true> {
+        let Self { user_sr, texel_sr, normal, terms, stakes, lamps } = self;
+        CubeThreshold { user_sr, texel_sr, normal, terms, stakes, lamps }
+    }
+}
+
+impl<const EVEN: bool> Threshold for CubeThreshold<'_, EVEN> {
     const ASKS_PLANES: bool = true;
-    const ASKS_BRIGHTNESS: bool = true;
+    const ASKS_BRIGHTNESS: bool = !EVEN;
 
     #[inline(always)]
     fn sin2_max(&self, node: &NodeSeen) -> f32 {
-        let mut factor = self.stakes.factor(node, self.lamps.behind(node));
+        let mut factor = if EVEN { 1.0 } else { self.stakes.factor(node, self.lamps.behind(node)) };
         if self.terms.cosine {
             let height = self.normal.dot(node.to_center) + node.radius2.sqrt();
             factor /= (height / node.distance2.sqrt()).clamp(COSINE_MIN, 1.0);
@@ -293,7 +301,7 @@ pub(crate) mod tests {
         }
     }
 
-    fn cube(terms: ImportanceTerms, surfaces: f32) -> CubeThreshold<'static> {
+    fn cube(terms: ImportanceTerms, surfaces: f32) -> CubeThreshold<'static, false> {
         let stakes = Stakes::new(terms, surfaces, None);
         let lamps = &*NO_LAMPS;
         CubeThreshold { user_sr: 0.1, texel_sr: 0.01, normal: Vec3::Y, terms, stakes, lamps }
@@ -327,6 +335,20 @@ pub(crate) mod tests {
             let threshold = CubeThreshold { user_sr: 0.0, ..cube(terms, 1.0) };
             assert_eq!(threshold.sin2_max(&node(Vec3::X, 0.1)), 0.0);
         }
+    }
+
+    #[test]
+    fn where_light_is_even_leaving_it_out_changes_nothing() {
+        for (terms, surfaces) in [("all", 0.0), ("cosine,quality", 2.0), ("quality", 2.0)] {
+            let threshold = cube(only(terms), surfaces);
+            assert!(threshold.stakes.are_even());
+            let even = threshold.of_even_light();
+            for (toward, is_plane) in [(Vec3::Y, false), (Vec3::X, true), (Vec3::ONE, true)] {
+                let seen = NodeSeen { is_plane, brightness: 9.0, ..node(toward * 2.0, 0.1) };
+                assert_eq!(even.sin2_max(&seen), threshold.sin2_max(&seen));
+            }
+        }
+        assert!(!cube(ImportanceTerms::ALL, 2.0).stakes.are_even());
     }
 
     #[test]
