@@ -220,8 +220,8 @@ fn error_falls_with_the_threshold() {
         for normal in sphere_directions(30) {
             let receiver = Receiver::diffuse(normal * 1.4, -normal);
             let at = |s: f32| {
-                let settings = GatherSettings { solid_angle_sr: s, ..GatherSettings::default() };
-                gather(&octree, &settings, receiver)
+                let plain = GatherSettings { raster_edge: 8, ..GatherSettings::default() };
+                gather(&octree, &GatherSettings { solid_angle_sr: s, ..plain }, receiver)
             };
             let (found, truth) = (at(solid_angle_sr), at(0.0));
             let relative = found.surface_irradiance[0] / truth.surface_irradiance[0] - 1.0;

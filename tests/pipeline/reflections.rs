@@ -96,7 +96,7 @@ fn the_suns_reflection_has_its_flux() {
     };
     let image = synthetic_sky(2048, 1024, &parameters);
     let environment = Environment::from_image(image, EnvironmentOptions::default()).unwrap();
-    let light = PreparedLight::for_reflections(&environment, 8);
+    let light = PreparedLight::for_reflections(&environment, GatherSettings::default().raster_edge);
     let settings = GatherSettings::default();
     let mut gatherer = Gatherer::new(octree.reader(), &settings, Some(&light));
     let position = Vec3::new(0.0, -0.9, 0.0);
@@ -186,7 +186,8 @@ fn results_change_smoothly_from_frame_to_frame() {
         let options =
             EnvironmentOptions { rotate_degrees: 0.25 * step as f32, ..Default::default() };
         let environment = Environment::from_image(image, options).unwrap();
-        let light = PreparedLight::for_reflections(&environment, 8);
+        let light =
+            PreparedLight::for_reflections(&environment, GatherSettings::default().raster_edge);
         let mut gatherer = Gatherer::new(octree.reader(), settings, Some(&light));
         let receiver = glossy(position, Vec3::Y, Vec3::new(3.0, 0.5, 0.0), 0.1);
         let found = gatherer.gather(&receiver).unwrap();
