@@ -139,3 +139,59 @@ fn clusters_at_edges_leak_little() {
         }
     }
 }
+
+/// Irregular octahedra of sheets, whose triangles have no right angles, coarse and fine: surfel by surfel nothing is seen through them, but for
+/// single rays between rounded outlines.
+#[test]
+fn triangles_without_right_angles_are_closed() {
+    let corners = [
+        Vec3::new(1.3, 0.1, -0.2),
+        Vec3::new(-0.9, 0.2, 0.3),
+        Vec3::new(0.1, 1.1, 0.2),
+        Vec3::new(0.3, -1.4, -0.1),
+        Vec3::new(-0.2, 0.3, 0.8),
+        Vec3::new(0.2, -0.1, -1.2),
+    ];
+    let faces: Vec<[u32; 3]> = (0..8u32)
+        .map(|i| {
+            let [a, b, c] = [i & 1, 2 + (i >> 1 & 1), 4 + (i >> 2)];
+            if i.count_ones() % 2 == 0 { [a, b, c] } else { [a, c, b] }
+        })
+        .collect();
+    let mesh = Mesh { positions: corners.to_vec(), triangles: faces.clone(), ..Mesh::default() };
+    let scene = Scene {
+        meshes: vec![mesh],
+        instances: vec![Instance { mesh: 0, transform: Affine3A::IDENTITY }],
+        materials: vec![Material::default()],
+        ..Scene::default()
+    };
+    for spacing in [9.0, 0.4, 0.05] {
+        let options = DiceOptions { spacing: Spacing::Length(spacing), two_sided: TwoSided::All };
+        let (mut surfels, mut diced) = (Vec::new(), DicedScene::new(&scene, options).unwrap());
+        while diced.read_chunk(&mut surfels).unwrap() {}
+        let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
+        let settings = GatherSettings { solid_angle_sr: 0.0, ..GatherSettings::default() };
+        let mut gatherer = Gatherer::new(octree.reader(), &settings, None);
+        let (mut worst, mut sum, mut count) = (0f32, 0.0, 0);
+        let planes = faces.iter().map(|face| {
+            let [a, b, c] = face.map(|k| corners[k as usize]);
+            (a, b, c, (c - a).cross(b - a).normalize())
+        });
+        for (a, b, c, inward) in planes.clone() {
+            for [u, v] in [[0.33, 0.33], [0.02, 0.02], [0.9, 0.05], [0.1, 0.7], [0.004, 0.5]] {
+                // On the face, and a little before it.
+                for height in [0.0, 0.01, 0.2] {
+                    let place = a + (b - a) * u + (c - a) * v + inward * height;
+                    if planes.clone().any(|(a, .., normal)| normal.dot(place - a) < -1e-4) {
+                        continue;
+                    }
+                    let found = gatherer.gather(&Receiver::diffuse(place, inward)).unwrap();
+                    worst = worst.max(found.ambient_occlusion);
+                    (sum, count) = (sum + found.ambient_occlusion, count + 1);
+                }
+            }
+        }
+        let mean = sum / count as f32;
+        assert!(worst < 1e-2 && mean < 3e-4, "{spacing}: {worst}, {mean}");
+    }
+}

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::lanes::Plain;
-use crate::{Disk, Section, SimdLevel, Tile, WideKernel, run_wide};
+use crate::{Disk, Section, SimdLevel, Tile, Triangle, WideKernel, run_wide};
 use pbgi_math::Aabb;
 use std::f32::consts::PI;
 
@@ -322,6 +322,43 @@ fn samples_below_the_horizon_do_not_count() {
     }
 }
 
+/// The halves of a rectangle cover what it does, each sample once, from either side and however their corners are ordered.
+#[test]
+fn two_triangles_are_their_rectangle() {
+    let table = CubeRasterTable::new(16);
+    let covered = |draw: &dyn Fn(&mut CubeRaster)| {
+        let mut raster = CubeRaster::new(&table, false);
+        raster.clear::<Plain>(Vec3::Y);
+        draw(&mut raster);
+        raster.texels.iter().map(|t| t.covered & t.above).collect::<Vec<u16>>()
+    };
+    for i in 0..60u32 {
+        let f = |k: u32| (i.wrapping_mul(k) >> 7) as f32 % 1009.0 / 504.0 - 1.0;
+        let center = Vec3::new(f(2_654_435_761), 0.6 + 0.5 * f(40_503_227), f(1_442_695_041));
+        let n = Vec3::new(f(97_531), f(1_357_911), f(86_028_121)).normalize();
+        let tangent = n.any_orthonormal_vector();
+        let (edges, half) = ([tangent, n.cross(tangent)], [0.7, 0.2 + 0.1 * f(77_777)]);
+        let (u, v) = (edges[0] * half[0], edges[1] * half[1]);
+        let inverse = n / n.dot(center);
+        let [a, b, c, d] = [center - u - v, center + u - v, center + u + v, center - u + v];
+        let footprint = CubeRaster::new(&table, false).footprint(Vec3::NEG_ONE, Vec3::ONE);
+        let tile = Tile { inverse, center, edges, half, distance_min: 0.0 };
+        let whole = covered(&|r| r.draw::<Plain, _>(&[(tile, ink(0.1, 0.0))], &footprint, center));
+        let triangle = |corners: [Vec3; 3]| {
+            let triangle = Triangle::new(inverse, corners, 0.0);
+            covered(&|r| r.draw::<Plain, _>(&[(triangle, ink(0.1, 0.0))], &footprint, center))
+        };
+        let (first, second) = (triangle([a, b, c]), triangle([d, c, a]));
+        let count = |texels: &[u16]| texels.iter().map(|t| t.count_ones()).sum::<u32>();
+        let both: Vec<u16> = first.iter().zip(&second).map(|(a, b)| a | b).collect();
+        // But for samples on an edge, by rounding.
+        let off: Vec<u16> = both.iter().zip(&whole).map(|(a, b)| a ^ b).collect();
+        assert!(count(&off) <= 2, "{i}: {} of {}", count(&off), count(&whole));
+        assert!(count(&first) + count(&second) <= count(&both) + 2, "{i}");
+        assert!(count(&first) > 0 && count(&second) > 0, "{i}");
+    }
+}
+
 /// Draws pieces of all kinds and gives every number of the raster.
 struct Everything;
 
@@ -343,7 +380,13 @@ impl WideKernel for Everything {
             let ink = Ink { veil, ..ink(0.03, i as f32) };
             let aabb = Aabb::from_disk(center, n, radius);
             let footprint = raster.footprint(aabb.min, aabb.max);
-            if i % 3 == 2 {
+            if i % 7 == 3 {
+                let corners = [center, center + n.any_orthonormal_vector() * 0.3, aabb.max];
+                let normal = (corners[1] - center).cross(corners[2] - center);
+                let inverse = normal / normal.dot(center);
+                let triangle = Triangle::new(inverse, corners, 0.5);
+                raster.draw::<L, _>(&[(triangle, ink)], &footprint, center);
+            } else if i % 3 == 2 {
                 let tangent = n.any_orthonormal_vector();
                 let (edges, half) = ([tangent, n.cross(tangent)], [0.2, 0.1]);
                 let tile = Tile { inverse, center, edges, half, distance_min: 0.5 };
