@@ -48,6 +48,10 @@ const SKY_COLUMNS: usize = 2048;
 /// Edge of the blocks of the picture in which surfaces share gathers of broad light.
 const SHARE_PIXELS: u32 = 5;
 
+/// What a first look is gathered with: half the time of the defaults.
+const QUICK_SOLID_ANGLE_SR: f32 = 0.08;
+const QUICK_RASTER_EDGE: usize = 8;
+
 /// Neighbors on one surface that share a gather when the surfels are lit: their light is only seen
 /// reflected by others.
 const SHARE: usize = 256;
@@ -70,6 +74,8 @@ struct Demo {
     resolution: [u32; 2],
     shading_rate: f32,
     share_pixels: u32,
+    solid_angle_sr: f32,
+    raster_edge: usize,
     common: CommonArgs,
     progress: Progress,
 }
@@ -79,7 +85,7 @@ impl Demo {
         args.common.check()?;
         std::fs::create_dir_all(&args.out)
             .map_err(|source| PbgiError::output(&args.out, "create", source))?;
-        let [width, height] = args.resolution;
+        let ([width, height], plain) = (args.resolution, ShadeSettings::default());
         Ok(Self {
             out: args.out.clone(),
             scene_name: format!("demo:street?seed={}", args.seed),
@@ -91,6 +97,8 @@ impl Demo {
             },
             shading_rate: 2.5,
             share_pixels: if args.quick { 0 } else { SHARE_PIXELS },
+            solid_angle_sr: if args.quick { QUICK_SOLID_ANGLE_SR } else { plain.solid_angle_sr },
+            raster_edge: if args.quick { QUICK_RASTER_EDGE } else { plain.raster_edge },
             common: args.common,
             progress: args.common.start_progress(6),
         })
@@ -124,6 +132,8 @@ impl Demo {
                 check_receivers: CHECK_RECEIVERS,
                 threads: self.common.thread_count(),
                 memory_bytes: self.common.memory_limit,
+                solid_angle_sr: self.solid_angle_sr,
+                raster_edge: self.raster_edge,
                 ..ShadeSettings::default()
             },
         };
