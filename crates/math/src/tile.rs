@@ -181,17 +181,23 @@ mod tests {
     use super::*;
     use crate::{decode_octahedral24, encode_octahedral24};
 
-    #[test]
-    fn directions_come_back() {
-        let mut worst = 0f32;
-        for i in 0..20_000u32 {
+    /// Normals all over the sphere, and a direction at right angles to each.
+    fn directions_in_planes() -> impl Iterator<Item = (Vec3, Vec3)> {
+        (0..20_000u32).map(|i| {
             let z = -1.0 + 2.0 * (i as f32 + 0.5) / 20_000.0;
             let phi = i as f32 * 2.399_963;
             let r = (1.0 - z * z).sqrt();
             let normal = Vec3::new(r * phi.cos(), r * phi.sin(), z).normalize();
             let frame = Frame::from_normal(normal);
             let (sin, cos) = (i as f32 * 0.37).sin_cos();
-            let direction = frame.tangent * cos + frame.bitangent * sin;
+            (normal, frame.tangent * cos + frame.bitangent * sin)
+        })
+    }
+
+    #[test]
+    fn directions_come_back() {
+        let mut worst = 0f32;
+        for (normal, direction) in directions_in_planes() {
             let code = TileCode::from_direction(normal, direction * 0.01);
             assert!(code.is_known());
             let [long, short] = code.edges(normal);
@@ -206,14 +212,7 @@ mod tests {
     #[test]
     fn senses_come_back() {
         let mut worst = 0f32;
-        for i in 0..20_000u32 {
-            let z = -1.0 + 2.0 * (i as f32 + 0.5) / 20_000.0;
-            let phi = i as f32 * 2.399_963;
-            let r = (1.0 - z * z).sqrt();
-            let normal = Vec3::new(r * phi.cos(), r * phi.sin(), z).normalize();
-            let frame = Frame::from_normal(normal);
-            let (sin, cos) = (i as f32 * 0.37).sin_cos();
-            let direction = frame.tangent * cos + frame.bitangent * sin;
+        for (normal, direction) in directions_in_planes() {
             let code = TileCode::from_sense(normal, direction * 0.01);
             let [along, left] = code.axes(normal);
             assert!((along.length() - 1.0).abs() < 1e-5 && along.dot(normal).abs() < 1e-5);
