@@ -168,11 +168,10 @@ impl Shape {
             Outline::Triangle([along, left], foot) => {
                 let base = triangle_base(surfel.radius, surfel.area, *foot);
                 let height = 2.0 * surfel.area / base;
-                let [a, b, c] = triangle_corners(base, height, *foot)
+                let corners = triangle_corners(base, height, *foot)
                     .map(|[x, y]| center + *along * x + *left * y);
-                let bounds = Aabb { min: a.min(b).min(c), max: a.max(b).max(c) };
                 // The longest edge is the nearest.
-                (bounds, height * (1.0 / 3.0))
+                (Aabb::from_points(corners), height * (1.0 / 3.0))
             }
         }
     }

@@ -172,34 +172,34 @@ mod tests {
     use super::*;
     use pbgi_cloud::SurfelFlags;
 
-    /// The lobe of sheets of 8 × 8 squares at these heights, tilted by this angle to either side, in turn, and its fill of the box
-    /// from −1 to 1.
+    fn sum(lobes: impl Iterator<Item = LobeSum>) -> LobeSum {
+        let add = |mut sum: LobeSum, lobe: LobeSum| {
+            sum.add(&lobe);
+            sum
+        };
+        lobes.reduce(add).unwrap()
+    }
+
+    /// The lobe of those of 8 × 8 squares, by column and row, in a plane at this height that is tilted by this angle.
+    fn sheet(height: f32, angle: f32, holds: impl Fn(i32, i32) -> bool) -> LobeSum {
+        let normal = Vec3::new(angle.sin(), 0.0, angle.cos());
+        let squares = (0..64).map(|i| (i % 8, i / 8)).filter(|&(i, j)| holds(i, j));
+        sum(squares.map(|(i, j)| {
+            let [x, y] = [i, j].map(|k| (k as f32 - 3.5) * 0.25);
+            let center = Vec3::new(x, y, height - x * angle.tan());
+            let surfel =
+                Surfel::new(center, normal, 0.2, 0.0625).with_flags(SurfelFlags::FRONT_ONLY);
+            LobeSum::from_surfel(&surfel, normal)
+        }))
+    }
+
+    /// Fill of the box from −1 to 1 by sheets at these heights, tilted by this angle to either side, in turn.
     fn fill_of_sheets(heights: &[f32], tilt: f32) -> f32 {
-        let mut sum: Option<LobeSum> = None;
-        for (layer, height) in heights.iter().enumerate() {
-            let angle = if layer % 2 == 0 { tilt } else { -tilt };
-            let normal = Vec3::new(angle.sin(), 0.0, angle.cos());
-            let mut sheet: Option<LobeSum> = None;
-            for i in 0..64 {
-                let place = |i: i32| (i as f32 - 3.5) * 0.25;
-                let x = place(i % 8);
-                let center = Vec3::new(x, place(i / 8), height - x * angle.tan());
-                let surfel =
-                    Surfel::new(center, normal, 0.2, 0.0625).with_flags(SurfelFlags::FRONT_ONLY);
-                let lobe = LobeSum::from_surfel(&surfel, normal);
-                sheet = Some(sheet.map_or(lobe, |mut sheet| {
-                    sheet.add(&lobe);
-                    sheet
-                }));
-            }
-            let sheet = sheet.unwrap();
-            sum = Some(sum.map_or(sheet, |mut sum| {
-                sum.add(&sheet);
-                sum
-            }));
-        }
+        let tilts = [tilt, -tilt].into_iter().cycle();
+        let sheets =
+            heights.iter().zip(tilts).map(|(&height, tilt)| sheet(height, tilt, |_, _| true));
         let bounds = Aabb { min: Vec3::NEG_ONE, max: Vec3::ONE };
-        sum.unwrap().to_lobe(&bounds).fill
+        sum(sheets).to_lobe(&bounds).fill
     }
 
     #[test]
@@ -215,23 +215,8 @@ mod tests {
     #[test]
     fn leaves_spread_at_random_cover_what_they_leave_open() {
         // Sparse sheets: every other square, so each covers half of its rectangle.
-        let sheet = |height: f32, odd: i32, angle: f32| {
-            let normal = Vec3::new(angle.sin(), 0.0, angle.cos());
-            let place = |i: i32| (i as f32 - 3.5) * 0.25;
-            let squares = (0..64).filter(move |i| (i % 8 + i / 8) % 2 == odd);
-            let lobes = squares.map(move |i| {
-                let x = place(i % 8);
-                let center = Vec3::new(x, place(i / 8), height - x * angle.tan());
-                let surfel =
-                    Surfel::new(center, normal, 0.2, 0.0625).with_flags(SurfelFlags::FRONT_ONLY);
-                LobeSum::from_surfel(&surfel, normal)
-            });
-            lobes.reduce(|mut sum, lobe| {
-                sum.add(&lobe);
-                sum
-            })
-        };
-        let (mut low, high) = (sheet(-0.5, 0, 0.2).unwrap(), sheet(0.5, 1, -0.2).unwrap());
+        let odd = |i: i32, j: i32| (i + j) % 2 == 1;
+        let (mut low, high) = (sheet(-0.5, 0.2, |i, j| !odd(i, j)), sheet(0.5, -0.2, odd));
         assert!((low.covered - 2.0).abs() < 1e-6);
         low.add(&high);
         // 1 − (1 − ½)² of the four.

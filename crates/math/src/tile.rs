@@ -3,6 +3,12 @@
 use crate::Frame;
 use glam::Vec3;
 
+/// Steps of a [`TileCode`] in a right angle, where it means a direction and not a line.
+const STEPS_PER_QUARTER: u8 = 63;
+
+/// Tangent of 22.5°: half of the angle by which a quarter's directions are off its middle at most.
+const QUARTER_TANGENT: f32 = 0.414_213_56;
+
 /// Direction of the long edge of a rectangle in its plane, in 8 bits; 0 where no rectangle is known.
 ///
 /// Codes 1 to 255 are `t = (code − 128) / 127`, the tangent of half the angle from the first tangent of
@@ -19,13 +25,9 @@ impl TileCode {
     /// the same only with the very same normal: take the one that is stored.
     #[must_use]
     pub fn from_direction(normal: Vec3, long_edge: Vec3) -> Self {
-        let local = Frame::from_normal(normal).to_local(long_edge);
-        let length = local.x.hypot(local.y);
-        if !(length > 0.0 && length.is_finite()) {
-            return Self::NONE;
-        }
+        let Some(([x, y], length)) = in_plane(normal, long_edge) else { return Self::NONE };
         // An edge has no sense: the half with x ≥ 0 will do.
-        let t = local.y * 1f32.copysign(local.x) / (length + local.x.abs());
+        let t = y * 1f32.copysign(x) / (length + x.abs());
         Self((128.0 + (t * 127.0).round()) as u8)
     }
 
@@ -40,32 +42,15 @@ impl TileCode {
     #[must_use]
     #[inline(always)]
     pub fn edges(self, normal: Vec3) -> [Vec3; 2] {
-        let frame = Frame::from_normal(normal);
-        let t = (f32::from(self.0) - 128.0) * (1.0 / 127.0);
-        let scale = 1.0 / (1.0 + t * t);
-        let (cos, sin) = ((1.0 - t * t) * scale, 2.0 * t * scale);
-        [frame.tangent * cos + frame.bitangent * sin, frame.bitangent * cos - frame.tangent * sin]
+        turned(normal, double_angle((f32::from(self.0) - 128.0) * (1.0 / 127.0)))
     }
-}
 
-/// Steps of a [`TileCode`] in a right angle, where it means a direction and not a line.
-const STEPS_PER_QUARTER: u8 = 63;
-
-/// Tangent of 22.5°: half of the angle by which a quarter's directions are off its middle at most.
-const QUARTER_TANGENT: f32 = 0.414_213_56;
-
-impl TileCode {
     /// Code of a direction in the plane with this unit normal, of any length, whose sense matters: an edge of a triangle. Codes 1 to 252
     /// are quarters of 63 steps around −180°, −90°, 0° and 90° from the first tangent of [`Frame::from_normal`], each by the tangent of half the angle
     /// from there; off by less than 0.76° (`tests::senses_come_back`), and exact in the middle of the quarters.
     #[must_use]
     pub fn from_sense(normal: Vec3, direction: Vec3) -> Self {
-        let local = Frame::from_normal(normal).to_local(direction);
-        let (x, y) = (local.x, local.y);
-        let length = x.hypot(y);
-        if !(length > 0.0 && length.is_finite()) {
-            return Self::NONE;
-        }
+        let Some(([x, y], length)) = in_plane(normal, direction) else { return Self::NONE };
         // Turned by so many right angles it lies in −45°..=45°.
         let (quarter, x, y) = match (x.abs() >= y.abs(), x >= 0.0, y >= 0.0) {
             (true, true, _) => (2, x, y),
@@ -82,21 +67,40 @@ impl TileCode {
     #[must_use]
     #[inline(always)]
     pub fn axes(self, normal: Vec3) -> [Vec3; 2] {
-        let frame = Frame::from_normal(normal);
         let code = self.0.saturating_sub(1);
         let (quarter, step) = (code / STEPS_PER_QUARTER, code % STEPS_PER_QUARTER);
         let half = f32::from(STEPS_PER_QUARTER / 2);
-        let t = (f32::from(step) - half) * (QUARTER_TANGENT / (half + 0.5));
-        let scale = 1.0 / (1.0 + t * t);
-        let (x, y) = ((1.0 - t * t) * scale, 2.0 * t * scale);
-        let (cos, sin) = match quarter {
-            0 => (-x, -y),
-            1 => (y, -x),
-            2 => (x, y),
-            _ => (-y, x),
+        let [x, y] = double_angle((f32::from(step) - half) * (QUARTER_TANGENT / (half + 0.5)));
+        let cos_sin = match quarter {
+            0 => [-x, -y],
+            1 => [y, -x],
+            2 => [x, y],
+            _ => [-y, x],
         };
-        [frame.tangent * cos + frame.bitangent * sin, frame.bitangent * cos - frame.tangent * sin]
+        turned(normal, cos_sin)
     }
+}
+
+/// The part of a direction that lies in the plane with this unit normal, along the tangents of [`Frame::from_normal`], and its length; none where
+/// that is 0 or no number.
+fn in_plane(normal: Vec3, direction: Vec3) -> Option<([f32; 2], f32)> {
+    let local = Frame::from_normal(normal).to_local(direction);
+    let length = local.x.hypot(local.y);
+    (length > 0.0 && length.is_finite()).then_some(([local.x, local.y], length))
+}
+
+/// Cosine and sine of an angle by the tangent of its half.
+#[inline(always)]
+fn double_angle(t: f32) -> [f32; 2] {
+    let scale = 1.0 / (1.0 + t * t);
+    [(1.0 - t * t) * scale, 2.0 * t * scale]
+}
+
+/// The tangents of [`Frame::from_normal`], turned by an angle with this cosine and sine.
+#[inline(always)]
+fn turned(normal: Vec3, [cos, sin]: [f32; 2]) -> [Vec3; 2] {
+    let Frame { tangent, bitangent, .. } = Frame::from_normal(normal);
+    [tangent * cos + bitangent * sin, bitangent * cos - tangent * sin]
 }
 
 /// Where the foot of a triangle's height lies on its longest edge, in 7 bits; 0 where the shape is no triangle.

@@ -46,6 +46,12 @@ fn length2<L: Lanes>(x: L, y: L, z: L) -> L {
     x.mul(x).add(y.mul(y)).add(z.mul(z))
 }
 
+/// Whether the points `D/w` are so far away: `|D|² ≥ d² w²`.
+#[inline(always)]
+fn is_far<L: Lanes>([x, y, z]: [L; 3], w: L, distance_min: f32) -> L::Mask {
+    w.mul(w).mul(L::splat(distance_min * distance_min)).le(length2(x, y, z))
+}
+
 /// The part of a plane inside a box, relative to the receiver.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Section {
@@ -112,10 +118,8 @@ impl Shape for Disk {
         let cz = z.sub(w.mul(L::splat(self.center.z)));
         let w2 = w.mul(w);
         let on_disk = length2(cx, cy, cz).le(w2.mul(L::splat(self.radius * self.radius)));
-        let near2 = self.distance_min * self.distance_min;
-        let far_enough = w2.mul(L::splat(near2)).le(length2(x, y, z));
         let in_front = L::splat(0.0).le(w);
-        L::bits(L::and(L::and(on_disk, far_enough), in_front))
+        L::bits(L::and(L::and(on_disk, is_far(direction, w, self.distance_min)), in_front))
     }
 }
 
@@ -165,7 +169,6 @@ impl Shape for Tile {
     /// `|D|² ≥ d² w²`.
     #[inline(always)]
     fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> u16 {
-        let [x, y, z] = direction;
         let ([a, b], [half_a, half_b]) = (self.edges, self.half);
         let (at_a, at_b) = (a.dot(self.center), b.dot(self.center));
         let (along_a, along_b) = (along(direction, a), along(direction, b));
@@ -173,9 +176,7 @@ impl Shape for Tile {
             slab(along_a, w, at_a - half_a, at_a + half_a),
             slab(along_b, w, at_b - half_b, at_b + half_b),
         );
-        let near2 = self.distance_min * self.distance_min;
-        let far_enough = w.mul(w).mul(L::splat(near2)).le(length2(x, y, z));
-        L::bits(L::and(on_tile, far_enough))
+        L::bits(L::and(on_tile, is_far(direction, w, self.distance_min)))
     }
 }
 
@@ -220,13 +221,10 @@ impl Shape for Triangle {
     /// The ray along `D` passes inside of all three planes, and where it is hit, it is far enough: `|D|² ≥ d² w²`.
     #[inline(always)]
     fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> u16 {
-        let [x, y, z] = direction;
         let zero = L::splat(0.0);
         let [a, b, c] = self.sides;
         let within = L::and(zero.le(along(direction, a)), zero.le(along(direction, b)));
-        let near2 = self.distance_min * self.distance_min;
-        let far_enough = w.mul(w).mul(L::splat(near2)).le(length2(x, y, z));
         let in_front = L::and(zero.le(along(direction, c)), zero.le(w));
-        L::bits(L::and(L::and(within, in_front), far_enough))
+        L::bits(L::and(L::and(within, in_front), is_far(direction, w, self.distance_min)))
     }
 }

@@ -92,9 +92,12 @@ pub(crate) struct Outline {
     pub extent: f32,
 }
 
-/// Draws a surfel as what it stands for, or else as a disk.
+/// Draws a surfel as what it stands for, or else as a disk, if it covers anything.
 #[inline(always)]
 pub(crate) fn draw_surfel<P: SurfelPen>(seen: &SurfelSeen, receiver_normal: Vec3, pen: &mut P) {
+    if !blocks(seen) {
+        return;
+    }
     let surfel = &seen.surfel;
     if surfel.is_triangle() {
         let (triangle, bounds) = surfel_triangle(surfel, receiver_normal);
@@ -159,7 +162,7 @@ fn surfel_triangle(surfel: &LeafSurfel, receiver_normal: Vec3) -> (Triangle, Aab
 
 /// Whether a surfel covers anything: neither seen along its edge nor from behind where only its front is.
 #[inline(always)]
-pub(crate) fn blocks(seen: &SurfelSeen) -> bool {
+fn blocks(seen: &SurfelSeen) -> bool {
     let surfel = &seen.surfel;
     let height = surfel.normal.dot(surfel.center);
     surfel.isotropic || height < 0.0 || (height > 0.0 && !surfel.front_only)

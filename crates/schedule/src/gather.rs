@@ -1,6 +1,6 @@
 //! One receiver: its cut drawn into its raster, under the environment, times its BRDF.
 
-use crate::drawing::{Outline, SurfelPen, blocks, draw_surfel, piece_ink, piece_shape, surfel_ink};
+use crate::drawing::{Outline, SurfelPen, draw_surfel, piece_ink, piece_shape, surfel_ink};
 use crate::importance::{CubeThreshold, ImportanceTerms, LobeThreshold, Stakes};
 use crate::lamps::{LampThreshold, LampVisitor, Lamps};
 use crate::light::{PreparedLight, PreparedPeak};
@@ -390,9 +390,6 @@ impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
 
     #[inline(always)]
     fn take_surfel(&mut self, seen: &SurfelSeen) {
-        if !blocks(seen) {
-            return;
-        }
         draw_surfel(seen, self.normal, self);
     }
 }
@@ -430,9 +427,6 @@ impl<L: Lanes> CutVisitor for WindowVisitor<'_, L> {
 
     #[inline(always)]
     fn take_surfel(&mut self, seen: &SurfelSeen) {
-        if !blocks(seen) {
-            return;
-        }
         draw_surfel(seen, self.normal, self);
     }
 }

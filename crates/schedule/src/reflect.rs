@@ -1,6 +1,6 @@
 //! What a glossy receiver reflects: the cut drawn into a raster as dense as its lobe, over the environment.
 
-use crate::drawing::{Outline, SurfelPen, blocks, draw_surfel, piece_ink, piece_shape, surfel_ink};
+use crate::drawing::{Outline, SurfelPen, draw_surfel, piece_ink, piece_shape, surfel_ink};
 use crate::importance::nearest_to;
 use crate::light::PreparedLight;
 use pbgi_brdf::{GgxLobe, LobeDirections, LobePattern};
@@ -193,9 +193,6 @@ impl<L: Lanes> CutVisitor for LobeVisitor<'_, L> {
 
     #[inline(always)]
     fn take_surfel(&mut self, seen: &SurfelSeen) {
-        if !blocks(seen) {
-            return;
-        }
         draw_surfel(seen, self.normal, self);
     }
 }

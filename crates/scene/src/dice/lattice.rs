@@ -103,9 +103,14 @@ impl Lattices {
         Self { pieces: [whole, Lattice::default()], piece_count: 1 }
     }
 
+    /// The lattices there are.
+    pub fn pieces(&self) -> &[Lattice] {
+        &self.pieces[..self.piece_count]
+    }
+
     /// Micropolygons of the triangle or rectangle.
     pub fn cell_count(&self) -> u64 {
-        self.pieces[..self.piece_count].iter().map(Lattice::cell_count).sum()
+        self.pieces().iter().map(Lattice::cell_count).sum()
     }
 }
 
@@ -180,6 +185,15 @@ impl Lattice {
                 let (full, rest) = ((steps - 1) / rise, (steps - 1) % rise);
                 steps + rise * (full * (full + 1) / 2) + rest * (full + 1)
             }
+        }
+    }
+
+    /// Whether any of its cells are rectangles.
+    pub fn has_rectangles(&self) -> bool {
+        match self.cut {
+            Cut::Whole => false,
+            Cut::Rectangle { .. } => true,
+            Cut::RightTriangle { steps, .. } => steps > 1,
         }
     }
 
@@ -341,7 +355,7 @@ pub(super) mod tests {
 
     /// Calls `visit` with every cell of a triangle.
     fn visit_cells(lattices: &Lattices, mut visit: impl FnMut(&Cell)) {
-        for lattice in &lattices.pieces[..lattices.piece_count] {
+        for lattice in lattices.pieces() {
             for row in 0..lattice.row_count() {
                 for column in 0..lattice.column_count(row) {
                     visit(&lattice.cell(column, row));

@@ -100,26 +100,26 @@ impl Outlines {
         let outline =
             |surfel: Surfel| Outline { orientation: surfel.orientation, flags: surfel.flags };
         let sides = sides.map(|side| Surfel { area: 1.0, ..side });
-        // A row ends in a triangle, where there are any, and begins with a rectangle, unless that is all there is.
+        let mut outlines = Self::default();
+        // A row ends in a triangle, where there are any.
         let cell = piece.cell(piece.column_count(0) - 1, 0);
-        if !cell.is_triangle {
-            return Self {
-                rectangles: rectangles(&cell, &sides).map(|s| s.map(outline)),
-                ..Self::default()
-            };
+        if piece.has_rectangles() {
+            let along = |edge: DVec3| sides.map(|side| side.with_tile(edge.as_vec3(), 1.0));
+            let edges = cell.edges().map(DVec3::normalize_or_zero);
+            outlines.rectangles = edges.map(|edge| along(edge).map(outline));
         }
-        let (base, foot) = cell.base(normal);
-        let (base, foot) = ((base / cell.area().sqrt()).as_vec3(), foot as f32);
-        // Turned, the longest edge runs the other way; seen from behind, from its end.
-        let triangles = [base, -base].map(|base| {
-            [sides[0].with_triangle(base, foot), sides[1].with_triangle(-base, 1.0 - foot)]
-        });
-        Self {
-            rectangles: rectangles(&cell, &sides).map(|s| s.map(outline)),
-            triangles: triangles.map(|sides| sides.map(outline)),
-            triangle_radius: triangles[0][0].radius,
-            edge: cell.edges()[0],
+        if cell.is_triangle {
+            let (base, foot) = cell.base(normal);
+            let (base, foot) = ((base / cell.area().sqrt()).as_vec3(), foot as f32);
+            // Turned, the longest edge runs the other way; seen from behind, from its end.
+            let triangles = [base, -base].map(|base| {
+                [sides[0].with_triangle(base, foot), sides[1].with_triangle(-base, 1.0 - foot)]
+            });
+            outlines.triangles = triangles.map(|sides| sides.map(outline));
+            outlines.triangle_radius = triangles[0][0].radius;
+            outlines.edge = cell.edges()[0];
         }
+        outlines
     }
 
     /// What `side` of a cell of this area is, and its radius.
@@ -135,12 +135,6 @@ impl Outlines {
         let aspect = (u / v).sqrt() as f32;
         (self.rectangles[long][side], 0.5 * (area * (aspect + 1.0 / aspect)).sqrt())
     }
-}
-
-/// Surfels of rectangles along each edge of a cell.
-fn rectangles(cell: &Cell, sides: &[Surfel; 2]) -> [[Surfel; 2]; 2] {
-    cell.edges()
-        .map(|edge| sides.map(|side| side.with_tile(edge.normalize_or_zero().as_vec3(), 1.0)))
 }
 
 impl<'a> InstanceView<'a> {
@@ -242,7 +236,10 @@ impl<'a> InstanceView<'a> {
             ..Surfel::default()
         };
         let sides = [side(normal), side(-normal)];
-        let outlines = lattices.pieces.map(|piece| Outlines::new(&piece, sides, triangle.normal));
+        let mut outlines = [Outlines::default(); 2];
+        for (outlines, piece) in outlines.iter_mut().zip(lattices.pieces()) {
+            *outlines = Outlines::new(piece, sides, triangle.normal);
+        }
         let mut diced = DicedPatch {
             lattices,
             surface,
@@ -267,7 +264,7 @@ impl DicedPatch<'_> {
     /// Micropolygons that are not all hole.
     fn count_opaque_cells(&self) -> u64 {
         let mut count = 0;
-        for lattice in &self.lattices.pieces[..self.lattices.piece_count] {
+        for lattice in self.lattices.pieces() {
             for row in 0..lattice.row_count() {
                 for column in 0..lattice.column_count(row) {
                     let cell = lattice.cell(column, row);
