@@ -6,12 +6,11 @@ use anyhow::{Context, Result, bail};
 use clap::Parser;
 use pbgi::{BakeRequest, Progress, bake};
 use pbgi_benches::{Line, plot};
+use pbgi_gather::{GatherSettings, Receiver, Shading};
 use pbgi_image::compare;
 use pbgi_math::{Aabb, RootCube, Vec3};
 use pbgi_scene::{CameraView, HideOptions, hide, procedural_scene};
-use pbgi_schedule::{
-    GatherSettings, Receiver, ReceiverOrder, ShadeOptions, ShadeReport, Shading, shade_receivers,
-};
+use pbgi_schedule::{ReceiverOrder, ShadeOptions, ShadeReport, shade_receivers};
 use pbgi_store::{CacheStats, Octree, OpenOptions, StoreError, try_for_each_leaf};
 use rustix::fs::{Advice, fadvise};
 use serde::Serialize;

@@ -6,14 +6,14 @@ use anyhow::{Context, Result, bail};
 use clap::Parser;
 use pbgi_benches::{ThreadTimer, bake, dice};
 use pbgi_cloud::{Surfel, SurfelFlags};
+use pbgi_gather::{
+    GatherParts, GatherSettings, Gatherer, Gloss, ImportanceTerms, Material, PreparedLight,
+    Receiver, Shading,
+};
 use pbgi_image::{RgbImage, compare, read_environment};
 use pbgi_light::{Environment, EnvironmentOptions, SkyParameters, synthetic_sky};
 use pbgi_math::Vec3;
 use pbgi_scene::{Camera, CameraView, HideOptions, Scene, hide, procedural_scene, read_scene};
-use pbgi_schedule::{
-    GatherParts, GatherSettings, Gatherer, Gloss, ImportanceTerms, Material, PreparedLight,
-    Receiver, Shading,
-};
 use pbgi_store::Octree;
 use serde::Serialize;
 use std::fmt::Write as _;

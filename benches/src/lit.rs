@@ -3,11 +3,12 @@
 use crate::{bake, dice};
 use anyhow::{Result, bail};
 use pbgi_cloud::{CloudOptions, SliceSource, Surfel, open_cloud};
+use pbgi_gather::{GatherSettings, PreparedLight, Receiver};
 use pbgi_image::read_environment;
 use pbgi_light::{Environment, EnvironmentOptions, SkyParameters, synthetic_sky};
 use pbgi_math::Vec3;
 use pbgi_scene::{procedural_scene, read_scene};
-use pbgi_schedule::{GatherSettings, PreparedLight, Receiver, ShadeOptions, shade_receivers};
+use pbgi_schedule::{ShadeOptions, shade_receivers};
 use pbgi_sort::{EstimateOptions, SortOptions, SortedSurfels, estimate_surfels, sort_surfels};
 use pbgi_store::Octree;
 use std::f32::consts::PI;
@@ -101,7 +102,7 @@ pub fn reflected_radiance(
     let places: Vec<Receiver> = surfels.iter().map(place).collect();
     let options = ShadeOptions { gather: *settings, threads: 2, ..ShadeOptions::default() };
     let (shadings, _) = shade_receivers(octree, light, &places, &options)?;
-    let reflect = |(surfel, shading): (&Surfel, &pbgi_schedule::Shading)| {
+    let reflect = |(surfel, shading): (&Surfel, &pbgi_gather::Shading)| {
         let (albedo, irradiance) = (surfel.albedo_rgb(), shading.irradiance());
         std::array::from_fn(|c| albedo[c] / PI * irradiance[c])
     };

@@ -7,10 +7,9 @@ use clap::Parser;
 use pbgi_benches::{bake_with, lit_surfels, scene_surfels};
 use pbgi_build::{BuildOptions, LeafRounding};
 use pbgi_cloud::Surfel;
+use pbgi_gather::{GatherSettings, ImportanceTerms, Receiver, Shading};
 use pbgi_image::compare;
-use pbgi_schedule::{
-    GatherSettings, ImportanceTerms, Receiver, ShadeOptions, Shading, shade_receivers,
-};
+use pbgi_schedule::{ShadeOptions, shade_receivers};
 use pbgi_store::Octree;
 use serde::Serialize;
 use std::path::PathBuf;

@@ -7,14 +7,14 @@ use anyhow::{Context, Result};
 use clap::Parser;
 use pbgi_benches::{Caster, Gathered, SkyImage, ThreadTimer, bake, dice, reflected_radiance};
 use pbgi_cloud::{ReceiverTable, Surfel};
+use pbgi_gather::{
+    GatherParts, GatherSettings, Gloss, ImportanceTerms, Material, PreparedLight, Receiver, Shading,
+};
 use pbgi_image::compare;
 use pbgi_light::{Environment, EnvironmentOptions};
 use pbgi_math::Vec3;
 use pbgi_scene::{Scene, read_scene};
-use pbgi_schedule::{
-    GatherParts, GatherSettings, Gloss, ImportanceTerms, Material, PreparedLight, Receiver,
-    ShadeOptions, ShadeReport, Shading, shade_receivers,
-};
+use pbgi_schedule::{ShadeOptions, ShadeReport, shade_receivers};
 use pbgi_store::Octree;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};

@@ -3,17 +3,13 @@
 use crate::support::bake_and_open;
 use pbgi_build::BuildOptions;
 use pbgi_cloud::{Surfel, SurfelFlags};
+use pbgi_gather::{GatherSettings, Gatherer, ImportanceTerms, Receiver};
 use pbgi_math::{Mat3, Vec3};
-use pbgi_schedule::{GatherSettings, Gatherer, ImportanceTerms, Receiver};
 use pbgi_store::Octree;
 use pbgi_testkit::{SurfelForm, closed_room, random_objects, ray_cast_gather, sphere_directions};
 use std::f32::consts::{FRAC_1_PI, PI};
 
-fn gather(
-    octree: &Octree,
-    settings: &GatherSettings,
-    receiver: Receiver,
-) -> pbgi_schedule::Shading {
+fn gather(octree: &Octree, settings: &GatherSettings, receiver: Receiver) -> pbgi_gather::Shading {
     Gatherer::new(octree.reader(), settings, None).gather(&receiver).unwrap()
 }
 

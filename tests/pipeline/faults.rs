@@ -3,8 +3,9 @@
 use crate::support::bake;
 use pbgi_build::BuildOptions;
 use pbgi_format::{PageEntry, PageId, PageKind};
+use pbgi_gather::{GatherSettings, Receiver, Shading};
 use pbgi_math::Vec3;
-use pbgi_schedule::{GatherSettings, Receiver, ShadeOptions, Shading, shade_receivers};
+use pbgi_schedule::{ShadeOptions, shade_receivers};
 use pbgi_store::{Backend, FileState, Octree, OpenOptions, PageSource, StoreError, for_each_leaf};
 use pbgi_testkit::{random_objects, sphere_directions};
 use std::fs::File;

@@ -3,10 +3,10 @@
 use crate::support::bake_and_open;
 use pbgi_build::BuildOptions;
 use pbgi_cloud::{Surfel, SurfelSource};
+use pbgi_gather::{GatherSettings, Gatherer, PreparedLight, Receiver};
 use pbgi_light::{Environment, EnvironmentOptions, SkyParameters, synthetic_sky};
 use pbgi_math::{Affine3A, Mat3, Vec3};
 use pbgi_scene::{DiceOptions, DicedScene, Instance, Material, Mesh, Scene, Spacing, TwoSided};
-use pbgi_schedule::{GatherSettings, Gatherer, PreparedLight, Receiver};
 use std::f32::consts::PI;
 
 /// Half edges of the inside of the box.

@@ -1,8 +1,8 @@
 //! Point and spot lights of glTF files, from the file to the irradiance they give.
 
 use pbgi::{BakeRequest, LightRequest, Progress, ProgressMode, Sampling, Verbosity, bake};
+use pbgi_gather::{GatherSettings, Gatherer, Receiver};
 use pbgi_math::Vec3;
-use pbgi_schedule::{GatherSettings, Gatherer, Receiver};
 use pbgi_store::{Octree, OpenOptions};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;

@@ -3,11 +3,11 @@
 use crate::support::bake_and_open;
 use pbgi_build::BuildOptions;
 use pbgi_cloud::Surfel;
-use pbgi_light::{Environment, EnvironmentOptions, SkyParameters, synthetic_sky};
-use pbgi_math::Vec3;
-use pbgi_schedule::{
+use pbgi_gather::{
     GatherSettings, Gatherer, Gloss, ImportanceTerms, Material, PreparedLight, Receiver,
 };
+use pbgi_light::{Environment, EnvironmentOptions, SkyParameters, synthetic_sky};
+use pbgi_math::Vec3;
 use pbgi_store::Octree;
 use pbgi_testkit::{SurfelForm, closed_room, random_objects, sphere_directions};
 
@@ -147,7 +147,7 @@ fn reflections_are_the_same_at_every_simd_level() {
         let receivers = sphere_directions(30).map(|d| glossy(d * 1.4, -d, Vec3::ZERO, 0.1));
         receivers.map(|r| gatherer.gather(&r).unwrap()).collect::<Vec<_>>()
     };
-    let levels = pbgi_schedule::SimdLevel::available();
+    let levels = pbgi_gather::SimdLevel::available();
     for level in &levels[1..] {
         assert_eq!(at(*level), at(levels[0]), "{level:?}");
     }

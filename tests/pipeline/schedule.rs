@@ -2,10 +2,11 @@
 
 use crate::support::{bake, bake_and_open};
 use pbgi_build::BuildOptions;
+use pbgi_gather::{Receiver, Shading};
 use pbgi_math::Vec3;
 use pbgi_schedule::{
-    CHUNKS_IN_FLIGHT, Feed, Receiver, ReceiverOrder, ScheduleError, ShadeOptions, Shading,
-    shade_receivers, shade_stream,
+    CHUNKS_IN_FLIGHT, Feed, ReceiverOrder, ScheduleError, ShadeOptions, shade_receivers,
+    shade_stream,
 };
 use pbgi_store::{Octree, OpenOptions};
 use pbgi_testkit::random_objects;

@@ -3,7 +3,7 @@
 use crate::workspace::Workspace;
 
 /// Every crate in `crates/` with the workspace crates it uses, in the order of the layers.
-pub const EDGES: [(&str, &[&str]); 15] = [
+pub const EDGES: [(&str, &[&str]); 16] = [
     ("math", &[]),
     ("cloud", &["math"]),
     ("image", &["math"]),
@@ -16,12 +16,13 @@ pub const EDGES: [(&str, &[&str]); 15] = [
     ("store", &["format", "math"]),
     ("cut", &["format", "math", "store"]),
     ("brdf", &["math", "raster"]),
-    ("schedule", &["brdf", "cut", "format", "light", "math", "raster", "store"]),
+    ("gather", &["brdf", "cut", "format", "light", "math", "raster", "store"]),
+    ("schedule", &["gather", "math", "store"]),
     (
         "pbgi",
         &[
-            "build", "cloud", "format", "image", "light", "math", "scene", "schedule", "sort",
-            "store",
+            "build", "cloud", "format", "gather", "image", "light", "math", "scene", "schedule",
+            "sort", "store",
         ],
     ),
     ("testkit", &["cloud", "math"]),

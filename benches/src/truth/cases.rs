@@ -2,13 +2,13 @@
 
 use anyhow::{Result, bail};
 use pbgi_benches::Caster;
+use pbgi_gather::{Gloss, Receiver};
 use pbgi_image::{RgbImage, read_environment};
 use pbgi_light::{SkyParameters, synthetic_sky};
 use pbgi_math::{Affine3A, Vec3};
 use pbgi_scene::{
     Camera, CameraView, Instance, Material, Mesh, Scene, procedural_scene, read_scene,
 };
-use pbgi_schedule::{Gloss, Receiver};
 use std::path::PathBuf;
 
 /// All cases, in the order of the tables.
@@ -135,11 +135,11 @@ impl Case {
         let plain = Receiver::diffuse(position, hit.normal);
         let Some(alpha) = self.gloss else { return Some(plain) };
         // Without a Fresnel term, as the caster reflects.
-        let material = pbgi_schedule::Material {
+        let material = pbgi_gather::Material {
             base_color: [1.0; 3],
             metalness: 1.0,
             roughness: alpha.sqrt(),
-            ..pbgi_schedule::Material::default()
+            ..pbgi_gather::Material::default()
         };
         let gloss = Some(Gloss { material, toward_eye: -direction });
         (caster.material_of(&hit).name == WET_GROUND).then_some(Receiver { gloss, ..plain })

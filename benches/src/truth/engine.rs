@@ -4,8 +4,8 @@ use crate::cases::{Case, Light};
 use crate::workers::spread;
 use anyhow::Result;
 use pbgi_benches::{ThreadTimer, bake, dice, reflected_radiance};
+use pbgi_gather::{GatherParts, GatherSettings, Gatherer, PreparedLight, Receiver, Shading};
 use pbgi_light::{Environment, EnvironmentOptions};
-use pbgi_schedule::{GatherParts, GatherSettings, Gatherer, PreparedLight, Receiver, Shading};
 use pbgi_store::Octree;
 use std::path::Path;
 

@@ -18,7 +18,7 @@ use clap::Parser;
 use engine::{LADDER, Setting, bake_case, gather_all};
 use paths::{RayCurve, Truth};
 use pbgi_benches::{Caster, SkyImage};
-use pbgi_schedule::Receiver;
+use pbgi_gather::Receiver;
 use pbgi_store::Octree;
 use report::Row;
 use std::path::{Path, PathBuf};

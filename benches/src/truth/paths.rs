@@ -5,8 +5,8 @@ use crate::curve::Point;
 use crate::workers::spread;
 use anyhow::Result;
 use pbgi_benches::{Caster, PATHS_MAX, ThreadTimer};
+use pbgi_gather::Receiver;
 use pbgi_image::compare;
-use pbgi_schedule::Receiver;
 use std::ops::Range;
 
 /// Paths per receiver of the caster's curve of error against time.

@@ -2,7 +2,7 @@
 
 use crate::PbgiError;
 use crate::cli::format_table;
-use crate::progress::format_bytes;
+use crate::cli::progress::format_bytes;
 use pbgi_format::{Channels, FORMAT_VERSION, Lobe, PageKind};
 use pbgi_store::{Backend, Octree, OpenOptions, VerifyReport};
 use serde::Serialize;

@@ -1,7 +1,7 @@
 //! Chunks of receivers under way: divided into batches for workers, completed in any order, taken back in that of their arrival.
 
-use crate::receiver::{Receiver, Shading};
 use crate::shade::ScheduleError;
+use pbgi_gather::{Receiver, Shading};
 use std::borrow::Cow;
 use std::collections::VecDeque;
 use std::ops::Range;

@@ -1,11 +1,8 @@
 //! Receivers as a stream: chunks come in, neighbors go to workers in batches, results come out in the order of the receivers.
 
-use crate::gather::{GatherSettings, Gatherer};
-use crate::light::PreparedLight;
 use crate::queue::{Chunk, Queue, StopOnDrop};
-use crate::receiver::{Receiver, Shading};
 use crate::spread::Spread;
-use pbgi_cut::CutStats;
+use pbgi_gather::{CutStats, GatherSettings, Gatherer, PreparedLight, Receiver, Shading};
 use pbgi_math::{Aabb, RootCube};
 use pbgi_store::{Octree, StoreError};
 use std::borrow::Cow;

@@ -1,0 +1,21 @@
+//! What a receiver receives.
+//!
+//! Joins the cut, the raster, the light and the BRDF. It must never start a thread, nor know where receivers come from or what becomes of the
+//! results.
+#![forbid(unsafe_code)]
+
+mod importance;
+mod integrator;
+mod lamps;
+mod light;
+mod primitive;
+mod receiver;
+mod reflect;
+
+pub use importance::ImportanceTerms;
+pub use integrator::{GatherParts, GatherSettings, Gatherer};
+pub use light::PreparedLight;
+pub use pbgi_brdf::Material;
+pub use pbgi_cut::{CutStats, LevelStats};
+pub use pbgi_raster::SimdLevel;
+pub use receiver::{Gloss, Receiver, Shading};

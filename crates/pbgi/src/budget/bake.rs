@@ -1,0 +1,127 @@
+//! How a bake divides its memory limit.
+
+use crate::PbgiError;
+use crate::budget::resident::resident_bytes;
+use crate::cli::progress::format_bytes;
+use pbgi_build::BuildOptions;
+use pbgi_sort::BUDGET_BYTES_MIN;
+use pbgi_store::PIN_BYTES_PER_READER_MIN;
+
+/// What a program holds before it does anything, where the system does not tell.
+const PROGRAM_BYTES: u64 = 16 << 20;
+/// The open path of the octree, pages being packed, the page table.
+const BUILD_BYTES: u64 = 16 << 20;
+/// Stack, raster and tables of a worker.
+const THREAD_BYTES: u64 = 1 << 20;
+/// What the allocator keeps for itself, and small things.
+const MARGIN_BYTES: u64 = 4 << 20;
+/// A surfel being shaded: itself and its code, receiver, order, result twice.
+const SHADED_SURFEL_BYTES: u64 = 256;
+/// Limits below this shade smaller chunks.
+const WHOLE_CHUNK_LIMIT: u64 = 256 << 20;
+
+/// Bytes of the page cache of a program that only reads an octree.
+pub(crate) fn reader_cache_bytes(limit: u64) -> u64 {
+    let held = resident_bytes().unwrap_or(PROGRAM_BYTES) + MARGIN_BYTES + THREAD_BYTES;
+    limit.saturating_sub(held).max(BUDGET_BYTES_MIN)
+}
+
+/// The parts of a bake's memory limit. None of them changes the result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct BakeMemory {
+    limit: u64,
+    /// Whether surfels are lit.
+    lights: bool,
+    /// Threads the limit affords, at most those asked for.
+    pub threads: usize,
+    /// Surfels shaded at once.
+    pub chunk_surfels: usize,
+}
+
+impl BakeMemory {
+    pub fn new(limit: u64, threads: usize, lights: bool) -> Self {
+        let affordable = (limit / 8 / THREAD_BYTES) as usize;
+        let chunk_surfels = if limit < WHOLE_CHUNK_LIMIT { 1 << 14 } else { 1 << 16 };
+        Self { limit, lights, threads: threads.clamp(1, affordable.max(1)), chunk_surfels }
+    }
+
+    /// Bytes set aside for building and shading.
+    pub fn reserve(&self) -> u64 {
+        let chunk = if self.lights { self.chunk_surfels as u64 * SHADED_SURFEL_BYTES } else { 0 };
+        BUILD_BYTES + MARGIN_BYTES + chunk + self.threads as u64 * THREAD_BYTES
+    }
+
+    /// Bytes for the sort, now that all inputs are open: what they and the reserve leave, or half of it
+    /// where a page cache is needed later.
+    ///
+    /// # Errors
+    ///
+    /// [`PbgiError::Budget`], naming the limit that would do.
+    pub fn sort_bytes(&self) -> Result<u64, PbgiError> {
+        self.sort_bytes_beside(resident_bytes().unwrap_or(PROGRAM_BYTES))
+    }
+
+    fn sort_bytes_beside(&self, held: u64) -> Result<u64, PbgiError> {
+        let parts = if self.lights { 2 } else { 1 };
+        let least = held + self.reserve() + parts * BUDGET_BYTES_MIN;
+        if least > self.limit {
+            let needed = (least + MARGIN_BYTES).div_ceil(1 << 20);
+            return Err(PbgiError::budget(format!(
+                "a memory limit of {} does not hold the program, its inputs ({} by now) and the \
+                 sort; at least {needed} MiB are needed (--memory-limit {needed}MiB)",
+                format_bytes(self.limit),
+                format_bytes(held),
+            )));
+        }
+        Ok((self.limit - held - self.reserve()) / parts)
+    }
+
+    /// Bytes of the page cache and number of its readers, now that the surfels are sorted. Fewer
+    /// threads than asked for where each would have too little.
+    pub fn cache(&self) -> (u64, usize) {
+        self.cache_beside(resident_bytes().unwrap_or(self.limit / 2))
+    }
+
+    fn cache_beside(&self, held: u64) -> (u64, usize) {
+        let bytes = self.limit.saturating_sub(held + self.reserve()).max(BUDGET_BYTES_MIN);
+        let page_bytes = BuildOptions::default().page_bytes as u64;
+        let readers = bytes / 2 / (PIN_BYTES_PER_READER_MIN * page_bytes);
+        (bytes, self.threads.min(readers.max(1) as usize))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cli::MEMORY_LIMIT_MIN;
+
+    #[test]
+    fn parts_never_exceed_the_limit() {
+        for limit in [MEMORY_LIMIT_MIN, 300 << 20, 8 << 30] {
+            for (threads, lights) in [(1, false), (2, true), (1000, true)] {
+                let memory = BakeMemory::new(limit, threads, lights);
+                let held = 12 << 20;
+                let sort = memory.sort_bytes_beside(held).unwrap();
+                let (cache, readers) = memory.cache_beside(held + sort);
+                assert!(sort >= BUDGET_BYTES_MIN);
+                if lights {
+                    assert!(held + sort + cache + memory.reserve() <= limit, "{limit} {threads}");
+                }
+                let pins = readers as u64 * PIN_BYTES_PER_READER_MIN * (64 << 10);
+                assert!(readers >= 1 && pins <= cache);
+            }
+        }
+    }
+
+    #[test]
+    fn limits_that_are_too_small_name_one_that_is_not() {
+        let memory = BakeMemory::new(MEMORY_LIMIT_MIN, 2, true);
+        let error = memory.sort_bytes_beside(100 << 20).unwrap_err();
+        assert_eq!(error.exit_code(), 4);
+        let text = error.to_string();
+        let needed = text.split("--memory-limit ").nth(1).unwrap();
+        let needed: u64 = needed.strip_suffix("MiB)").unwrap().parse().unwrap();
+        let memory = BakeMemory::new(needed << 20, 2, true);
+        assert!(memory.sort_bytes_beside(100 << 20).is_ok(), "{text}");
+    }
+}

@@ -1,0 +1,6 @@
+//! What memory and disk a run may take, and how it is divided.
+
+pub(crate) mod bake;
+pub(crate) mod disk_space;
+pub(crate) mod resident;
+pub(crate) mod split;

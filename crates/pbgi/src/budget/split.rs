@@ -1,0 +1,97 @@
+//! How a memory limit is shared between the page cache and everything else.
+
+use crate::PbgiError;
+use crate::budget::resident::resident_bytes;
+use crate::cli::progress::format_bytes;
+use serde::Serialize;
+use std::fmt;
+
+/// What a program holds before it does anything, where the system does not tell.
+const PROGRAM_BYTES: u64 = 24 << 20;
+
+/// Room for small things to come, and for each worker's stack, raster and tables.
+const MARGIN_BYTES: u64 = 8 << 20;
+const THREAD_BYTES: u64 = 2 << 20;
+
+/// Least page cache worth opening a file with.
+const CACHE_BYTES_MIN: u64 = 4 << 20;
+
+/// The parts of a memory limit, in bytes. Their sum is the limit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct MemorySplit {
+    /// The limit.
+    pub limit_bytes: u64,
+    /// What is held before shading starts: program, scene, environment; with a margin for workers.
+    pub held_bytes: u64,
+    /// Receivers, their results, and the image.
+    pub frame_bytes: u64,
+    /// Page cache: all the rest.
+    pub cache_bytes: u64,
+}
+
+impl fmt::Display for MemorySplit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [held, frame, cache] =
+            [self.held_bytes, self.frame_bytes, self.cache_bytes].map(format_bytes);
+        write!(f, "{cache} page cache, {frame} receivers and image, {held} the rest")
+    }
+}
+
+impl MemorySplit {
+    /// A split for what the process holds now, before frame and cache have their shares.
+    pub(crate) fn measure(limit_bytes: u64, threads: usize) -> Self {
+        let resident = resident_bytes().unwrap_or(PROGRAM_BYTES);
+        Self::new(limit_bytes, resident + MARGIN_BYTES + THREAD_BYTES * threads as u64)
+    }
+
+    fn new(limit_bytes: u64, held_bytes: u64) -> Self {
+        Self { limit_bytes, held_bytes, ..Self::default() }
+    }
+
+    /// Grants the frame between `least` and `most` bytes, at most half of what is left above the
+    /// least of both, and the cache the rest.
+    ///
+    /// # Errors
+    ///
+    /// If the limit does not hold the least of both; the error names the limit that would.
+    pub(crate) fn grant(mut self, least: u64, most: u64) -> Result<Self, PbgiError> {
+        let needed = least.saturating_add(CACHE_BYTES_MIN);
+        let rest = self.limit_bytes.saturating_sub(self.held_bytes);
+        if rest < needed {
+            let total = self.held_bytes.saturating_add(needed);
+            return Err(PbgiError::budget(format!(
+                "a memory limit of {} does not hold program, scene and image; at least {} are \
+                 needed (--memory-limit {}MiB)",
+                format_bytes(self.limit_bytes),
+                format_bytes(total),
+                total.div_ceil(1 << 20)
+            )));
+        }
+        self.frame_bytes = most.clamp(least, least + (rest - needed) / 2);
+        self.cache_bytes = rest - self.frame_bytes;
+        Ok(self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_add_up_to_the_limit() {
+        let split = MemorySplit::new(256 << 20, 60 << 20);
+        for (least, most) in [(0, 0), (1 << 20, 10 << 20), (50 << 20, 500 << 20)] {
+            let s = split.grant(least, most).unwrap();
+            assert_eq!(s.held_bytes + s.frame_bytes + s.cache_bytes, s.limit_bytes);
+            assert!((least..=most).contains(&s.frame_bytes) && s.cache_bytes >= CACHE_BYTES_MIN);
+        }
+    }
+
+    #[test]
+    fn limits_that_are_too_small_name_one_that_is_not() {
+        let error = MemorySplit::new(32 << 20, 100 << 20).grant(1 << 20, 1 << 20).unwrap_err();
+        assert!(error.to_string().contains("--memory-limit 105MiB"), "{error}");
+        assert_eq!(error.exit_code(), 4);
+        assert!(MemorySplit::new(105 << 20, 100 << 20).grant(1 << 20, 1 << 20).is_ok());
+    }
+}

@@ -1,0 +1,317 @@
+//! What all command-line tools share: options, sizes, Ctrl-C, exit codes.
+
+pub(crate) mod output_path;
+pub(crate) mod progress;
+
+use crate::{PbgiError, Progress, ProgressMode, Verbosity};
+use pbgi_store::Backend;
+use std::io::{ErrorKind, Write};
+use std::path::Path;
+use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+pub use crate::cli::progress::{format_bytes, format_count, format_seconds};
+pub use crate::error::{EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED, EXIT_MISUSED, EXIT_RESOURCES};
+
+/// Smallest [`CommonArgs::memory_limit`] any tool accepts.
+pub const MEMORY_LIMIT_MIN: u64 = 64 << 20;
+
+/// Options of every tool.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub struct CommonArgs {
+    /// Memory the process may hold, such as 512MiB or 4G
+    #[arg(long, value_name = "SIZE", default_value = "1GiB", value_parser = parse_bytes)]
+    pub memory_limit: u64,
+    /// Threads; 0 is one per core
+    #[arg(short, long, value_name = "N", default_value_t = 0)]
+    pub threads: usize,
+    /// How progress is shown on standard error
+    #[arg(long, value_enum, value_name = "MODE", default_value = "auto", hide_short_help = true)]
+    pub progress: ProgressMode,
+    /// Tell more
+    #[arg(short, long, conflicts_with = "quiet")]
+    pub verbose: bool,
+    /// Tell warnings and errors only
+    #[arg(short, long)]
+    pub quiet: bool,
+}
+
+impl CommonArgs {
+    /// Threads to start, at least 1.
+    #[must_use]
+    pub fn thread_count(&self) -> usize {
+        match self.threads {
+            0 => std::thread::available_parallelism().map_or(1, usize::from),
+            threads => threads,
+        }
+    }
+
+    /// How much to tell.
+    #[must_use]
+    pub fn verbosity(&self) -> Verbosity {
+        match (self.quiet, self.verbose) {
+            (true, _) => Verbosity::Quiet,
+            (_, true) => Verbosity::Verbose,
+            _ => Verbosity::Normal,
+        }
+    }
+
+    /// Progress as asked for, of a run in `phase_count` phases.
+    #[must_use]
+    pub fn start_progress(&self, phase_count: u32) -> Progress {
+        Progress::new(self.progress, self.verbosity(), phase_count)
+    }
+
+    /// Refuses limits no tool can keep.
+    ///
+    /// # Errors
+    ///
+    /// [`PbgiError::Usage`], naming the smallest limit.
+    pub fn check(&self) -> Result<(), PbgiError> {
+        check_memory_limit(self.memory_limit)?;
+        if self.threads > 4096 {
+            return Err(PbgiError::usage(format!(
+                "--threads {} is out of range; expected 0 (one per core) to 4096",
+                self.threads
+            )));
+        }
+        Ok(())
+    }
+}
+
+/// How an octree file is read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum IoMode {
+    /// By reads of whole pages; a file that gets shorter meanwhile is an error
+    #[default]
+    Read,
+    /// Through a map of the file; not for network disks
+    Map,
+}
+
+impl From<IoMode> for Backend {
+    fn from(mode: IoMode) -> Self {
+        match mode {
+            IoMode::Read => Self::Read,
+            IoMode::Map => Self::Map,
+        }
+    }
+}
+
+/// Refuses a memory limit below [`MEMORY_LIMIT_MIN`].
+///
+/// # Errors
+///
+/// [`PbgiError::Usage`], naming the smallest limit.
+pub fn check_memory_limit(bytes: u64) -> Result<(), PbgiError> {
+    if bytes >= MEMORY_LIMIT_MIN {
+        return Ok(());
+    }
+    Err(PbgiError::usage(format!(
+        "a memory limit of {} is too small; at least {} are needed (--memory-limit {}MiB)",
+        format_bytes(bytes),
+        format_bytes(MEMORY_LIMIT_MIN),
+        MEMORY_LIMIT_MIN >> 20
+    )))
+}
+
+/// A number of bytes: `4GiB`, `512M`, `1.5g`, `100000`. K, M, G, T and KiB … are powers of 1024,
+/// kB, MB, GB and TB powers of 1000.
+///
+/// # Errors
+///
+/// Says what is expected.
+///
+/// ```
+/// assert_eq!(pbgi::cli::parse_bytes("1.5GiB"), Ok(3 << 29));
+/// ```
+pub fn parse_bytes(text: &str) -> Result<u64, String> {
+    let expected = || format!("`{text}` is no size; expected one such as 512MiB or 4G");
+    let end = text.find(|c: char| !(c.is_ascii_digit() || c == '.')).unwrap_or(text.len());
+    let (digits, suffix) = text.split_at(end);
+    let binary = ["", "k", "m", "g", "t"];
+    let suffix = suffix.trim_start().to_ascii_lowercase();
+    let stem = suffix.strip_suffix("ib").or(suffix.strip_suffix('b'));
+    let is_decimal = stem.is_some_and(|s| !s.is_empty()) && !suffix.ends_with("ib");
+    let power = binary.iter().position(|&s| s == stem.unwrap_or(&suffix)).ok_or_else(expected)?;
+    let base: f64 = if is_decimal { 1000.0 } else { 1024.0 };
+    scale_number(digits, base.powi(power as i32)).ok_or_else(expected)
+}
+
+/// A count: `2M`, `1.5G`, `250k`, `1000`; the suffixes are powers of 1000.
+///
+/// # Errors
+///
+/// Says what is expected.
+///
+/// ```
+/// assert_eq!(pbgi::cli::parse_count("1.5M"), Ok(1_500_000));
+/// ```
+pub fn parse_count(text: &str) -> Result<u64, String> {
+    let expected = || format!("`{text}` is no count; expected one such as 2M or 500000");
+    let (digits, factor) = match text.char_indices().last() {
+        Some((end, 'k' | 'K')) => (&text[..end], 1e3),
+        Some((end, 'm' | 'M')) => (&text[..end], 1e6),
+        Some((end, 'g' | 'G')) => (&text[..end], 1e9),
+        _ => (text, 1.0),
+    };
+    scale_number(digits, factor).ok_or_else(expected)
+}
+
+/// `digits` times `factor`, rounded; only unsigned decimal numbers below 2⁵³ pass.
+fn scale_number(digits: &str, factor: f64) -> Option<u64> {
+    if !digits.bytes().all(|b| b.is_ascii_digit() || b == b'.') {
+        return None;
+    }
+    let value = (digits.parse::<f64>().ok()? * factor).round();
+    (value < (1u64 << 53) as f64).then_some(value as u64)
+}
+
+/// Three numbers separated by commas, such as `0,1.5,-2`.
+///
+/// # Errors
+///
+/// Says what is expected.
+pub fn parse_triple(text: &str) -> Result<[f32; 3], String> {
+    let parts: Vec<f32> = text
+        .split(',')
+        .map(|part| part.trim().parse().ok().filter(|x: &f32| x.is_finite()))
+        .collect::<Option<_>>()
+        .unwrap_or_default();
+    parts
+        .try_into()
+        .map_err(|_| format!("`{text}` are not three numbers; expected such as 0,1.5,-2"))
+}
+
+/// Columns and rows of an image, such as `960x540`.
+///
+/// # Errors
+///
+/// Says what is expected.
+///
+/// ```
+/// assert_eq!(pbgi::cli::parse_resolution("960x540"), Ok([960, 540]));
+/// ```
+pub fn parse_resolution(text: &str) -> Result<[u32; 2], String> {
+    let edge = |text: &str| text.trim().parse().ok().filter(|x| (1..=65536).contains(x));
+    text.split_once(['x', 'X'])
+        .and_then(|(width, height)| Some([edge(width)?, edge(height)?]))
+        .ok_or_else(|| format!("`{text}` is no size; expected one such as 960x540"))
+}
+
+static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+
+/// Runs a tool: `body` gets a flag that Ctrl-C (or a termination signal) sets. An error goes to
+/// standard error after the tool's name, and decides the exit code. A second Ctrl-C ends the
+/// process at once.
+pub fn run(
+    tool: &str,
+    body: impl FnOnce(&'static AtomicBool) -> Result<(), PbgiError>,
+) -> ExitCode {
+    let handler = || {
+        if INTERRUPTED.swap(true, Ordering::Relaxed) {
+            std::process::exit(i32::from(EXIT_INTERRUPTED));
+        }
+    };
+    // Without a handler Ctrl-C still works, only less cleanly.
+    let _ = ctrlc::set_handler(handler);
+    match body(&INTERRUPTED) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("{tool}: {error}");
+            ExitCode::from(error.exit_code())
+        }
+    }
+}
+
+/// Writes `text` to standard output. A reader that has seen enough (`| head`) is no error.
+///
+/// # Errors
+///
+/// If standard output cannot be written.
+pub fn print(text: &str) -> Result<(), PbgiError> {
+    let mut out = std::io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(e) if e.kind() != ErrorKind::BrokenPipe => {
+            Err(PbgiError::output(Path::new("standard output"), "write", e))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Writes `value` as JSON to the file `path`, or to standard output where that is `-`.
+///
+/// # Errors
+///
+/// If it cannot be written.
+pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), PbgiError> {
+    let mut text = serde_json::to_string_pretty(value)
+        .map_err(|e| PbgiError::failed(format!("statistics cannot be written as JSON: {e}")))?;
+    text.push('\n');
+    if path.as_os_str() == "-" {
+        return print(&text);
+    }
+    std::fs::write(path, text).map_err(|e| PbgiError::output(path, "write", e))
+}
+
+/// Lines of labels and values, the values aligned.
+#[must_use]
+pub fn format_table(rows: &[(impl AsRef<str>, String)]) -> String {
+    let width = rows.iter().map(|(label, _)| label.as_ref().chars().count()).max().unwrap_or(0);
+    rows.iter().map(|(label, value)| format!("{:<width$}  {value}\n", label.as_ref())).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_are_read() {
+        for (text, bytes) in [
+            ("1000", 1000),
+            ("4GiB", 4 << 30),
+            ("2M", 2 << 20),
+            ("2 MiB", 2 << 20),
+            ("0.5g", 1 << 29),
+            ("3kB", 3000),
+            ("2GB", 2_000_000_000),
+            ("10b", 10),
+            ("1T", 1 << 40),
+        ] {
+            assert_eq!(parse_bytes(text), Ok(bytes), "{text}");
+        }
+        for text in ["", "M", "-1", "4XiB", "1..2", "1e9", "é", "ib", "99999999999999999T"] {
+            assert!(parse_bytes(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn counts_are_read() {
+        assert_eq!(parse_count("250k"), Ok(250_000));
+        assert_eq!(parse_count("1.25G"), Ok(1_250_000_000));
+        for text in ["", "M", "-2M", "two", "nan", "é"] {
+            assert!(parse_count(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn triples_are_read() {
+        assert_eq!(parse_triple("0, 1.5,-2"), Ok([0.0, 1.5, -2.0]));
+        for text in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,inf"] {
+            assert!(parse_triple(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn tables_are_aligned() {
+        let table = format_table(&[("surfels", "3".to_owned()), ("Σ", "4".to_owned())]);
+        assert_eq!(table, "surfels  3\nΣ        4\n");
+    }
+
+    #[test]
+    fn limits_too_small_name_what_is_needed() {
+        let error = check_memory_limit(1 << 20).unwrap_err();
+        assert_eq!(error.exit_code(), EXIT_MISUSED);
+        assert!(error.to_string().contains("--memory-limit 64MiB"), "{error}");
+    }
+}

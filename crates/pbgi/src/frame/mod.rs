@@ -1,0 +1,502 @@
+//! A picture: what a camera sees, shaded, as an image with many channels.
+
+pub(crate) mod band;
+pub(crate) mod camera_choice;
+pub(crate) mod camera_file;
+pub(crate) mod contact;
+pub(crate) mod interpolate;
+pub(crate) mod output;
+pub(crate) mod request;
+pub(crate) mod splat;
+
+use crate::budget::split::MemorySplit;
+use crate::cli::progress::Phase;
+use crate::frame::band::{Band, Piece};
+use crate::frame::camera_choice::CameraContext;
+use crate::frame::interpolate::Groups;
+use crate::frame::request::FrameRequest;
+use crate::frame::splat::hide_surfels;
+use crate::shade::target::spread;
+use crate::shade::{Session, ShadeReport, read_header, up_axis};
+use crate::{PbgiError, Progress};
+use output::FrameImage;
+use pbgi_format::Header;
+use pbgi_gather::{GatherParts, Receiver, Shading};
+use pbgi_image::{
+    Aov, AovNames, AttributeValue, Image, ImageWindow, StoredChannel, ToneMap, auto_exposure,
+    write_png, write_windowed_exr,
+};
+use pbgi_math::{DVec3, Vec3};
+use pbgi_scene::{CameraView, HideOptions, Micropolygon, PixelWindow, Scene, hide};
+use std::borrow::Cow;
+use std::collections::HashMap;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+/// A shaded picture with what is known of it.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// The channels.
+    pub image: Image,
+    /// Attributes for the EXR file: camera, settings, measured error. They depend on the request only.
+    pub attributes: Vec<(String, AttributeValue)>,
+    /// What shading did.
+    pub report: ShadeReport,
+    /// Where the pixels lie in what the camera saw.
+    pub(crate) window: ImageWindow,
+    /// The quantities, each with the names of its channels.
+    pub(crate) layers: Vec<(Aov, Vec<String>)>,
+    /// Channels of another file that go along as they are.
+    pub(crate) passed: Vec<StoredChannel>,
+    /// What the preview shows.
+    pub(crate) preview: Vec<[f32; 3]>,
+    /// Where the preview shows surfaces.
+    pub(crate) covered: Vec<bool>,
+    /// Whether the preview shows light, not just occlusion.
+    pub(crate) is_lit: bool,
+}
+
+impl Frame {
+    /// Writes all channels and attributes as an EXR file, whole or not at all.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be written.
+    pub fn write_exr(&self, path: &Path) -> Result<(), PbgiError> {
+        let Self { image, passed, window, attributes, .. } = self;
+        Ok(write_windowed_exr(path, image, passed, window, attributes)?)
+    }
+
+    /// Writes the beauty as an 8-bit picture with a filmic curve, or ambient occlusion as it is where
+    /// there is no light. `exposure` is in stops; without it, one that suits the surfaces is chosen.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be written.
+    pub fn write_preview(&self, path: &Path, exposure: Option<f32>) -> Result<(), PbgiError> {
+        let (width, height) = (self.image.width, self.image.height);
+        let automatic = || match self.is_lit {
+            true => auto_exposure(&self.preview, Some(&self.covered)),
+            false => 0.0,
+        };
+        let exposure = exposure.unwrap_or_else(automatic);
+        let tone = ToneMap { exposure, filmic: self.is_lit };
+        Ok(write_png(path, width, height, &self.preview, tone)?)
+    }
+}
+
+/// Makes a picture.
+///
+/// The image does not depend on threads or memory limit. Where the limit does not hold what the whole
+/// image needs at once, it is made in bands of rows.
+///
+/// Both sides of a surface are shaded: the back of a single-sided surface gathers light on the
+/// camera's side, though in the octree it is black. Surfels drawn without a scene face the camera,
+/// unless they are visible from one side only; those without a normal are shaded as if they looked up.
+///
+/// # Errors
+///
+/// If a file cannot be read, is damaged, or a setting is out of range; if nothing is visible and there
+/// is no environment to show instead; on cancellation.
+pub fn shade_frame(
+    request: &FrameRequest<'_>,
+    progress: &Progress,
+    cancel: &AtomicBool,
+) -> Result<Frame, PbgiError> {
+    request.settings.validate()?;
+    if request.share_pixels > SHARE_PIXELS_MAX {
+        return Err(PbgiError::usage(format!(
+            "the blocks of shared gathers have {} pixels, expected 0 to {SHARE_PIXELS_MAX}",
+            request.share_pixels
+        )));
+    }
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(request.settings.threads)
+        .build()
+        .map_err(|e| PbgiError::failed(format!("threads cannot be started: {e}")))?;
+    pool.install(|| FrameJob::prepare(request, cancel)?.run(progress))
+}
+
+/// A frame under way.
+struct FrameJob<'a> {
+    request: &'a FrameRequest<'a>,
+    header: Header,
+    session: Session<'a>,
+    view: CameraView,
+    /// World position of the origin of the view's and the pieces' coordinates.
+    origin: DVec3,
+    /// Rows that are made at once.
+    band_rows: u32,
+    /// Results of the surfels shown so far, by their numbers in the file.
+    shaded_surfels: HashMap<u64, Shading>,
+    cancel: &'a AtomicBool,
+    start: Instant,
+}
+
+/// Rows around a band in which groups of pieces may reach into it: two of the largest blocks, and whole tiles.
+const AROUND_ROWS: u32 = 2 * SHARE_PIXELS_MAX;
+
+/// Largest edge of the blocks in which gathers are shared.
+const SHARE_PIXELS_MAX: u32 = 64;
+
+/// Pixels along the longer edge of the picture whose receivers are measured to choose settings.
+const CALIBRATION_EDGE: u32 = 160;
+
+/// Rows of a tile of hiding: bands of whole tiles shade nothing twice.
+const TILE_ROWS: u32 = 64;
+
+impl<'a> FrameJob<'a> {
+    fn prepare(request: &'a FrameRequest<'a>, cancel: &'a AtomicBool) -> Result<Self, PbgiError> {
+        let start = Instant::now();
+        let settings = &request.settings;
+        let header = read_header(request.octree)?;
+        let environment =
+            settings.environment.as_ref().map(|e| e.load(header.flags.z_up)).transpose()?;
+        let split = MemorySplit::measure(settings.memory_bytes, settings.threads);
+        let (image, per_row) = frame_bytes(request);
+        let rows = u64::from(request.height.next_multiple_of(TILE_ROWS));
+        let least = image + per_row * u64::from(TILE_ROWS);
+        let split = split.grant(least, image + per_row * rows)?;
+        let band_rows = ((split.frame_bytes - image) / per_row.max(1)).min(rows) as u32;
+        let extra_readers = usize::from(request.scene.is_none());
+        let session =
+            Session::open(request.octree, settings, environment, split, extra_readers, cancel)?;
+        let origin = if request.scene.is_some() { DVec3::ZERO } else { header.origin };
+        let context = CameraContext {
+            scene: request.scene,
+            bounds: request.scene.map_or(header.bounds, Scene::bounds),
+            up: up_axis(&header),
+            aspect: request.width as f32 / request.height.max(1) as f32,
+            origin,
+        };
+        let camera = context.find(&request.camera)?;
+        let view = CameraView { camera, width: request.width, height: request.height };
+        let band_rows = (band_rows / TILE_ROWS * TILE_ROWS).max(TILE_ROWS);
+        let shaded_surfels = HashMap::new();
+        Ok(Self {
+            request,
+            header,
+            session,
+            view,
+            origin,
+            band_rows,
+            shaded_surfels,
+            cancel,
+            start,
+        })
+    }
+
+    fn run(mut self, progress: &Progress) -> Result<Frame, PbgiError> {
+        let mut image = FrameImage::new(self.request);
+        let bands = self.request.height.div_ceil(self.band_rows);
+        let mut seen = Seen::default();
+        let extra = u32::from(self.request.settings.check_receivers > 0)
+            + u32::from(self.session.wants_calibration());
+        progress.set_phase_count(2 * bands + extra);
+        self.calibrate(progress)?;
+        for band in 0..bands {
+            if self.cancel.load(Ordering::Relaxed) {
+                return Err(PbgiError::Interrupted);
+            }
+            let y = band * self.band_rows;
+            let height = self.band_rows.min(self.request.height - y);
+            let window = PixelWindow { x: 0, y, width: self.request.width, height };
+            let phase = progress.start_phase("hide", "rows", Some(u64::from(height)));
+            let visible = self.hide(window)?;
+            let around = self.hide_around(window, &visible)?;
+            phase.set_done(u64::from(height));
+            drop(phase);
+            seen.count(&visible);
+            let count = visible.pieces.len() as u64;
+            let phase = progress.start_phase("shade", "receivers", Some(count));
+            let shadings = match around {
+                Some(around) => self.shade_shared(&visible, &around, &phase)?,
+                None => self.shade(&visible, &|done| phase.set_done(done))?,
+            };
+            drop(phase);
+            let background = self.session.environment.as_ref();
+            image.append(&visible, &shadings, background, &self.view, self.origin);
+        }
+        self.judge(&seen)?;
+        self.finish(image, progress)
+    }
+
+    /// Chooses the solid angle for the error that was asked for, by what a small picture of the whole shows: bands do not change it.
+    fn calibrate(&mut self, progress: &Progress) -> Result<(), PbgiError> {
+        if !self.session.wants_calibration() {
+            return Ok(());
+        }
+        let scale =
+            (CALIBRATION_EDGE as f32 / self.view.width.max(self.view.height) as f32).min(1.0);
+        let small = |edge: u32| ((edge as f32 * scale) as u32).max(1);
+        let (width, height) = (small(self.view.width), small(self.view.height));
+        let view = CameraView { width, height, ..self.view.clone() };
+        // Slivers at edges err most, and only samples within pixels see as many of them as the picture does.
+        let (samples, shading_rate) = (self.request.samples, self.request.shading_rate);
+        let options = HideOptions { samples, shading_rate, window: None };
+        let pieces: Vec<Piece> = match self.request.scene {
+            Some(scene) => {
+                hide(scene, &view, &options)?.micropolygons.iter().map(Piece::from).collect()
+            }
+            None => {
+                let (octree, up) = (&self.session.octree, self.session.up());
+                hide_surfels(octree, &view, &options, up, self.cancel)?.pieces
+            }
+        };
+        let sample: Vec<Receiver> =
+            spread(pieces.len()).map(|i| self.receiver_of(&pieces[i])).collect();
+        self.session.calibrate(&sample, progress)
+    }
+
+    fn hide(&self, window: PixelWindow) -> Result<Band, PbgiError> {
+        let options = HideOptions {
+            samples: self.request.samples,
+            shading_rate: self.request.shading_rate,
+            window: Some(window),
+        };
+        let Some(scene) = self.request.scene else {
+            let (octree, up) = (&self.session.octree, self.session.up());
+            return hide_surfels(octree, &self.view, &options, up, self.cancel);
+        };
+        let visible = hide(scene, &self.view, &options)?;
+        let pieces = visible.micropolygons.iter().map(Piece::from).collect();
+        Ok(Band { pieces, ids: Vec::new(), coverage: visible.coverage })
+    }
+
+    /// What is visible in the window and in the rows around it, where pieces share gathers: groups at a band's
+    /// border need all their members. `visible` is what the window itself shows.
+    fn hide_around<'v>(
+        &self,
+        window: PixelWindow,
+        visible: &'v Band,
+    ) -> Result<Option<Cow<'v, [Piece]>>, PbgiError> {
+        if self.request.scene.is_none() || self.request.share_pixels == 0 {
+            return Ok(None);
+        }
+        let y = window.y.saturating_sub(AROUND_ROWS);
+        let end = (window.y + window.height + AROUND_ROWS).min(self.request.height);
+        if end - y == window.height {
+            return Ok(Some(Cow::Borrowed(&visible.pieces)));
+        }
+        Ok(Some(Cow::Owned(self.hide(PixelWindow { y, height: end - y, ..window })?.pieces)))
+    }
+
+    /// The receiver of diffuse light at a place of the frame, in the octree's coordinates.
+    fn receiver(&self, position: Vec3, normal: Vec3) -> Receiver {
+        let shift = self.origin - self.header.origin;
+        Receiver::diffuse((position.as_dvec3() + shift).as_vec3(), normal)
+    }
+
+    /// The receiver of a piece, with what it reflects toward the camera.
+    fn receiver_of(&self, piece: &Piece) -> Receiver {
+        let gloss = self.session.gloss(piece.material, piece.position, self.view.eye());
+        Receiver { gloss, ..self.receiver(piece.position, piece.normal) }
+    }
+
+    /// Shades the pieces of a band, which share gathers with those visible around them.
+    fn shade_shared(
+        &mut self,
+        band: &Band,
+        around: &[Piece],
+        phase: &Phase<'_>,
+    ) -> Result<Vec<Shading>, PbgiError> {
+        self.session.shares = true;
+        let groups = Groups::new(around, &self.view, self.request.share_pixels);
+        let (leaders, places) = groups.needed(&band.pieces);
+        let leaders: Vec<Receiver> = leaders.iter().map(|l| self.receiver(l.0, l.1)).collect();
+        // Progress counts pieces: most of the work is in the leaders.
+        let total = band.pieces.len() as u64;
+        let broad_share = |done: u64| done * total * 3 / (4 * leaders.len().max(1) as u64);
+        let advance = |done: u64| phase.set_done(broad_share(done));
+        let broad = self.session.gather(&leaders, GatherParts::Broad, &advance)?;
+        let receivers: Vec<Receiver> = band.pieces.iter().map(|p| self.receiver_of(p)).collect();
+        let advance = |done: u64| phase.set_done(total * 3 / 4 + done / 4);
+        let mut shadings = self.session.gather(&receivers, GatherParts::Sharp, &advance)?;
+        let means: Vec<Option<Shading>> =
+            band.pieces.iter().map(|p| groups.interpolate(p, &broad, &places)).collect();
+        let alone: Vec<Receiver> = (receivers.iter().zip(&means))
+            .filter(|(_, mean)| mean.is_none())
+            .map(|(receiver, _)| *receiver)
+            .collect();
+        let mut alone = self.session.gather(&alone, GatherParts::Broad, &|_| ())?.into_iter();
+        for (shading, mean) in shadings.iter_mut().zip(means) {
+            let Some(mut broad) = mean.or_else(|| alone.next()) else { continue };
+            for (sum, peak) in
+                broad.environment_irradiance.iter_mut().zip(shading.environment_irradiance)
+            {
+                *sum += peak;
+            }
+            (broad.reflected, broad.gloss_albedo) = (shading.reflected, shading.gloss_albedo);
+            *shading = broad;
+        }
+        self.session.count(&receivers, None, &shadings);
+        Ok(shadings)
+    }
+
+    /// Shades the pieces of a band. Surfels that an earlier band has shown are not shaded again.
+    fn shade(
+        &mut self,
+        band: &Band,
+        advance: &(dyn Fn(u64) + Sync),
+    ) -> Result<Vec<Shading>, PbgiError> {
+        let receiver = |piece: &Piece| self.receiver_of(piece);
+        if band.ids.is_empty() {
+            let receivers: Vec<Receiver> = band.pieces.iter().map(receiver).collect();
+            return self.session.shade(&receivers, None, advance);
+        }
+        let is_new = |(id, _): &(&u64, &Piece)| !self.shaded_surfels.contains_key(*id);
+        let (ids, receivers): (Vec<u64>, Vec<Receiver>) = (band.ids.iter().zip(&band.pieces))
+            .filter(is_new)
+            .map(|(id, piece)| (*id, receiver(piece)))
+            .unzip();
+        let shadings = self.session.shade(&receivers, Some(&ids), advance)?;
+        self.shaded_surfels.extend(ids.into_iter().zip(shadings));
+        Ok(band.ids.iter().map(|id| self.shaded_surfels[id]).collect())
+    }
+
+    /// Turns pictures of nothing into errors and doubtful ones into warnings.
+    fn judge(&mut self, seen: &Seen) -> Result<(), PbgiError> {
+        let eye = self.view.eye().as_dvec3() + self.origin;
+        let toward = self.view.forward();
+        if seen.covered == 0 {
+            let message = format!(
+                "the camera at {eye} looking along {toward} sees no surface; move it or turn it \
+                 around (everything lies within {:?} to {:?})",
+                (self.header.bounds.min.as_dvec3() + self.header.origin).to_array(),
+                (self.header.bounds.max.as_dvec3() + self.header.origin).to_array(),
+            );
+            if self.session.environment.is_none() {
+                return Err(PbgiError::failed(message));
+            }
+            self.session.warnings.push(message + "; only the environment is shown");
+        } else if seen.backs * 2 > seen.covered {
+            self.session.warnings.push(format!(
+                "{:.0} % of what the camera at {eye} sees are backs of surfaces; it may stand inside \
+                 of an object",
+                100.0 * seen.backs as f64 / seen.covered as f64
+            ));
+        }
+        Ok(())
+    }
+
+    fn finish(self, image: FrameImage, progress: &Progress) -> Result<Frame, PbgiError> {
+        let is_lit = self.session.is_lit();
+        let mut report = self.session.finish(progress)?;
+        report.total_seconds = self.start.elapsed().as_secs_f64();
+        let attributes = output::frame_attributes(self.request, &self.view, self.origin, &report);
+        let (preview, covered) = image.preview(is_lit);
+        let image = image.into_image(&self.request.names);
+        let window = ImageWindow::whole(image.width, image.height);
+        let passed = Vec::new();
+        let layers = layers_of(&self.request.aovs, &self.request.names);
+        Ok(Frame { image, attributes, report, window, layers, passed, preview, covered, is_lit })
+    }
+}
+
+/// The quantities with the names of their channels.
+pub(crate) fn layers_of(aovs: &[Aov], names: &AovNames) -> Vec<(Aov, Vec<String>)> {
+    aovs.iter().map(|aov| (*aov, names.channels(*aov))).collect()
+}
+
+/// Samples by what they show.
+#[derive(Default)]
+struct Seen {
+    covered: u64,
+    backs: u64,
+}
+
+impl Seen {
+    fn count(&mut self, band: &Band) {
+        for pixel in 0..band.coverage.pixel_count() {
+            for fragment in band.coverage.fragments(pixel) {
+                let samples = u64::from(fragment.samples);
+                self.covered += samples;
+                let is_back = band.pieces[fragment.index as usize].is_back;
+                self.backs += if is_back { samples } else { 0 };
+            }
+        }
+    }
+}
+
+/// Estimated bytes of the image, and of what a row needs while it is made.
+fn frame_bytes(request: &FrameRequest<'_>) -> (u64, u64) {
+    let width = u64::from(request.width);
+    let pixels = width * u64::from(request.height);
+    // Surfels keep their results until the end: about one per pixel, in a table half full.
+    let kept = if request.scene.is_none() { 2 * (8 + size_of::<Shading>() as u64) } else { 0 };
+    let image = pixels * (output::channel_count(&request.aovs) as u64 * 4 + 16 + kept);
+    // A piece, its receiver and its result, with what hiding holds while it makes them.
+    let piece = (size_of::<Piece>()
+        + size_of::<Micropolygon>()
+        + size_of::<Shading>()
+        + size_of::<Receiver>()
+        + 16) as f64;
+    let pieces_per_pixel = match request.scene {
+        Some(_) => 0.7 + 1.0 / f64::from(request.shading_rate.clamp(1e-3, 1e3)),
+        None => 1.0,
+    };
+    let depth = if request.scene.is_none() { 12 * u64::from(request.samples) } else { 0 };
+    let per_pixel = (piece * pieces_per_pixel) as u64 + depth + 160;
+    (image, width * per_pixel)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::camera_choice::CameraChoice;
+    use crate::frame::request::FRAME_AOVS;
+    use crate::shade::ShadeSettings;
+    use crate::{BakeRequest, EnvironmentSpec, LightSource, Sampling, bake, load_scene};
+
+    fn request<'a>(octree: &'a Path, scene: Option<&'a Scene>) -> FrameRequest<'a> {
+        let source = LightSource::Uniform([1.0, 2.0, 3.0]);
+        FrameRequest {
+            octree,
+            scene,
+            camera: CameraChoice::Default,
+            width: 40,
+            height: 150,
+            samples: 4,
+            shading_rate: 4.0,
+            share_pixels: 0,
+            aovs: FRAME_AOVS.to_vec(),
+            names: AovNames::default(),
+            settings: ShadeSettings {
+                environment: Some(EnvironmentSpec { source, rotate_degrees: 0.0, scale: 1.0 }),
+                solid_angle_sr: 0.3,
+                check_receivers: 9,
+                ..ShadeSettings::default()
+            },
+        }
+    }
+
+    /// A limit that makes bands must not show: neither in the image nor in what is measured.
+    #[test]
+    fn bands_give_the_image_of_the_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let octree = folder.path().join("box.pbgi");
+        let bake_request = BakeRequest {
+            inputs: vec!["demo:cornell".into()],
+            output: octree.clone(),
+            sampling: Sampling::Surfels(2000),
+            ..BakeRequest::default()
+        };
+        let (progress, cancel) = (Progress::silent(), AtomicBool::new(false));
+        bake(&bake_request, &progress, &cancel).unwrap();
+        let scene = load_scene("demo:cornell").unwrap();
+        for (scene, share_pixels) in [(Some(&scene), 0), (Some(&scene), 5), (None, 0)] {
+            let request = FrameRequest { share_pixels, ..request(&octree, scene) };
+            let make = |band_rows: u32| {
+                let mut job = FrameJob::prepare(&request, &cancel).unwrap();
+                assert_eq!(job.band_rows, 192);
+                job.band_rows = band_rows;
+                job.run(&progress).unwrap()
+            };
+            let (whole, bands) = (make(192), make(64));
+            assert!(whole.image == bands.image);
+            assert_eq!(whole.attributes, bands.attributes);
+            assert_eq!(whole.report.receivers, bands.report.receivers);
+        }
+    }
+}

@@ -1,0 +1,302 @@
+//! Results on their way into files: channels of a frame, attributes, and outputs tried beforehand.
+
+use crate::PbgiError;
+use crate::frame::band::{Band, Piece};
+use crate::frame::request::FrameRequest;
+use crate::shade::{ShadeReport, ShadeSettings, list_pages};
+use pbgi_gather::Shading;
+use pbgi_image::{Aov, AovNames, AttributeValue, Image};
+use pbgi_light::Environment;
+use pbgi_math::{DVec3, Mat4, Vec3, Vec4};
+use pbgi_scene::CameraView;
+use std::f32::consts::FRAC_1_PI;
+use std::path::{Path, PathBuf};
+
+/// Depth written where no surface is: finite, so that compositors can blend it.
+const DEPTH_OF_NOTHING: f32 = 1e10;
+
+/// Makes sure that `path` can be written before long work is done for it: a temporary file is made in
+/// its folder and removed.
+///
+/// # Errors
+///
+/// [`PbgiError::Usage`] if `path` is a folder or lies in none; [`PbgiError::Output`] if the folder
+/// cannot be written.
+pub fn check_writable(path: &Path) -> Result<(), PbgiError> {
+    if path.is_dir() {
+        return Err(PbgiError::usage(format!(
+            "{} is a folder; name a file to write",
+            path.display()
+        )));
+    }
+    let folder = match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    };
+    // Devices and pipes are written in place.
+    if path.exists() && !path.is_file() {
+        return Ok(());
+    }
+    tempfile::Builder::new()
+        .prefix(".pbgi-")
+        .tempfile_in(folder)
+        .map(drop)
+        .map_err(|source| PbgiError::output(path, "create", source))
+}
+
+/// Refuses to overwrite `path` unless `force` is given.
+///
+/// # Errors
+///
+/// [`PbgiError::Usage`] if the file exists.
+pub fn refuse_to_overwrite(path: &Path, force: bool) -> Result<(), PbgiError> {
+    if force || !path.exists() {
+        return Ok(());
+    }
+    Err(PbgiError::usage(format!("{} exists already; add --force to overwrite it", path.display())))
+}
+
+/// Averaged over the samples of a pixel: beauty, reflected indirect light, irradiance, albedo,
+/// occlusion, sky visibility, what is reflected glossily.
+const MIXED: usize = 17;
+/// Of the largest fragment of a pixel: bent normal.
+const NEAREST: usize = 3;
+
+/// Number of channels that `aovs` make.
+pub(crate) fn channel_count(aovs: &[Aov]) -> usize {
+    let names = AovNames::default();
+    aovs.iter().map(|aov| names.channels(*aov).len()).sum()
+}
+
+/// The channels of a frame, growing from the top row down.
+pub(crate) struct FrameImage {
+    width: usize,
+    height: usize,
+    planes: Vec<(Aov, Vec<Vec<f32>>)>,
+    preview: Vec<[f32; 3]>,
+    occlusion: Vec<f32>,
+    covered: Vec<bool>,
+}
+
+impl FrameImage {
+    pub fn new(request: &FrameRequest<'_>) -> Self {
+        let (width, height) = (request.width as usize, request.height as usize);
+        let pixels = width * height;
+        let names = AovNames::default();
+        let planes = request.aovs.iter().map(|aov| {
+            let channels = names.channels(*aov).len();
+            (*aov, (0..channels).map(|_| Vec::with_capacity(pixels)).collect())
+        });
+        Self {
+            width,
+            height,
+            planes: planes.collect(),
+            preview: Vec::with_capacity(pixels),
+            occlusion: Vec::with_capacity(pixels),
+            covered: Vec::with_capacity(pixels),
+        }
+    }
+
+    /// Appends the rows of `band`. `origin` is the world position of the origin of its coordinates.
+    pub fn append(
+        &mut self,
+        band: &Band,
+        shadings: &[Shading],
+        background: Option<&Environment>,
+        view: &CameraView,
+        origin: DVec3,
+    ) {
+        let coverage = &band.coverage;
+        let mixed = coverage.resolve(
+            |i| mixed_values(&band.pieces[i], &shadings[i]),
+            |direction| {
+                let mut values = [0.0; MIXED];
+                let radiance = background.map_or([0.0; 3], |e| e.radiance(direction));
+                values[..3].copy_from_slice(&radiance);
+                values
+            },
+        );
+        let bent: Vec<[f32; NEAREST]> =
+            coverage.resolve_nearest(|i| shadings[i].bent_normal.to_array(), [0.0; NEAREST]);
+        let alpha = coverage.alpha();
+        for pixel in 0..coverage.pixel_count() {
+            let surface = PixelSurface::new(band, pixel, view, origin);
+            let values = &mixed[pixel];
+            self.preview.push([values[0], values[1], values[2]]);
+            self.occlusion.push(values[12]);
+            self.covered.push(alpha[pixel] > 0.5);
+            for (aov, channels) in &mut self.planes {
+                let (all, count) = match aov {
+                    Aov::Beauty => ([values[0], values[1], values[2], alpha[pixel]], 4),
+                    Aov::DiffuseIndirect => (with_zero(&values[3..6]), 3),
+                    Aov::SpecularIndirect => (with_zero(&values[14..17]), 3),
+                    Aov::Irradiance => (with_zero(&values[6..9]), 3),
+                    Aov::Albedo => (with_zero(&values[9..12]), 3),
+                    Aov::Occlusion => ([values[12], 0.0, 0.0, 0.0], 1),
+                    Aov::SkyVisibility => ([values[13], 0.0, 0.0, 0.0], 1),
+                    Aov::BentNormal => (with_zero(&bent[pixel]), 3),
+                    Aov::Position => (with_zero(&surface.position), 3),
+                    Aov::Normal => (with_zero(&surface.normal), 3),
+                    Aov::Depth => ([surface.depth, 0.0, 0.0, 0.0], 1),
+                    _ => ([0.0; 4], channels.len()),
+                };
+                for (channel, value) in channels.iter_mut().zip(&all[..count]) {
+                    channel.push(*value);
+                }
+            }
+        }
+    }
+
+    /// What a preview shows, beauty or ambient occlusion, and where there are surfaces.
+    pub fn preview(&self, is_lit: bool) -> (Vec<[f32; 3]>, Vec<bool>) {
+        let preview = match is_lit {
+            true => self.preview.clone(),
+            false => self.occlusion.iter().map(|open| [*open; 3]).collect(),
+        };
+        (preview, self.covered.clone())
+    }
+
+    /// The image with the channels' names.
+    pub fn into_image(self, names: &AovNames) -> Image {
+        let mut image = Image::new(self.width, self.height);
+        for (aov, channels) in self.planes {
+            for (name, data) in names.channels(aov).into_iter().zip(channels) {
+                image.push(name, data);
+            }
+        }
+        image
+    }
+}
+
+fn with_zero(values: &[f32]) -> [f32; 4] {
+    [values[0], values[1], values[2], 0.0]
+}
+
+/// Values of a piece that are averaged over the samples of a pixel. Reflected radiance of a Lambertian
+/// surface is `albedo/π · E`, of what the gloss above it lets through.
+fn mixed_values(piece: &Piece, shading: &Shading) -> [f32; MIXED] {
+    let irradiance = shading.irradiance();
+    let mut values = [0.0; MIXED];
+    for c in 0..3 {
+        let through = 1.0 - shading.gloss_albedo[c];
+        let reflected = through * piece.albedo[c] * FRAC_1_PI * irradiance[c];
+        values[c] = reflected + shading.reflected[c] + piece.emission[c];
+        values[3 + c] = reflected;
+        values[6 + c] = irradiance[c];
+        values[9 + c] = piece.albedo[c];
+    }
+    values[12] = shading.ambient_occlusion;
+    values[13] = shading.sky_visibility;
+    values[14..].copy_from_slice(&shading.reflected);
+    values
+}
+
+/// Geometry in the middle of a pixel, which cannot be averaged: that of its largest fragment.
+struct PixelSurface {
+    position: [f32; 3],
+    normal: [f32; 3],
+    depth: f32,
+}
+
+impl PixelSurface {
+    fn new(band: &Band, pixel: usize, view: &CameraView, origin: DVec3) -> Self {
+        let Some(fragment) = band.coverage.fragments(pixel).first() else {
+            return Self { position: [0.0; 3], normal: [0.0; 3], depth: DEPTH_OF_NOTHING };
+        };
+        let piece = &band.pieces[fragment.index as usize];
+        let position = seen_point(piece, view.eye(), band.coverage.pixel_direction(pixel));
+        Self {
+            position: (position.as_dvec3() + origin).as_vec3().to_array(),
+            normal: piece.normal.to_array(),
+            depth: (position - view.eye()).dot(view.forward()),
+        }
+    }
+}
+
+/// Where the ray through the middle of a pixel meets the plane of `piece`; the piece's own place where
+/// that is not near it, as along edges.
+fn seen_point(piece: &Piece, eye: Vec3, direction: Vec3) -> Vec3 {
+    let slope = direction.dot(piece.plane);
+    let distance = (piece.position - eye).dot(piece.plane) / slope;
+    let hit = eye + direction * distance;
+    let reach = 1.5 * piece.radius;
+    let is_near = hit.is_finite() && hit.distance_squared(piece.position) <= reach * reach;
+    if is_near && distance > 0.0 { hit } else { piece.position }
+}
+
+/// Camera, settings and measured error as attributes of the EXR file. They are the same for any
+/// number of threads and any memory limit.
+pub(crate) fn frame_attributes(
+    request: &FrameRequest<'_>,
+    view: &CameraView,
+    origin: DVec3,
+    report: &ShadeReport,
+) -> Vec<(String, AttributeValue)> {
+    use AttributeValue::{Float, Int, Matrix};
+    let to_local = |matrix: Mat4| {
+        // Products with the origin in f64: it may be millions of units away.
+        let m = matrix.as_dmat4();
+        let shifted = m.w_axis - m.x_axis * origin.x - m.y_axis * origin.y - m.z_axis * origin.z;
+        let shifted = Vec4::from_array(shifted.to_array().map(|x| x as f32));
+        Mat4::from_cols(matrix.x_axis, matrix.y_axis, matrix.z_axis, shifted)
+    };
+    let mut attributes = vec![
+        ("worldToCamera".to_owned(), Matrix(to_local(view.world_to_camera()))),
+        ("worldToNDC".to_owned(), Matrix(to_local(view.world_to_ndc()))),
+        ("pbgi:samples".to_owned(), Int(request.samples as i32)),
+        ("pbgi:share".to_owned(), Int(request.share_pixels as i32)),
+        ("pbgi:shadingRate".to_owned(), Float(request.shading_rate)),
+    ];
+    if request.share_pixels == 0 {
+        // Gathers shared across the borders of bands count twice, and bands must not show.
+        attributes.push(("pbgi:cutSizeMean".to_owned(), Float(report.cut_mean as f32)));
+    }
+    attributes.extend(settings_attributes(request.octree, &request.settings, report));
+    attributes
+}
+
+/// Settings and measured error as attributes. They are the same for any number of threads and any memory limit.
+pub(crate) fn settings_attributes(
+    octree: &Path,
+    settings: &ShadeSettings,
+    report: &ShadeReport,
+) -> Vec<(String, AttributeValue)> {
+    use AttributeValue::{Float, Int, Text};
+    let mut attributes = vec![
+        ("software".to_owned(), Text(format!("pbgi {}", env!("CARGO_PKG_VERSION")))),
+        ("pbgi:octree".to_owned(), Text(file_name(octree))),
+        ("pbgi:surfels".to_owned(), Text(report.surfels.to_string())),
+        ("pbgi:solidAngle".to_owned(), Float(report.solid_angle_sr)),
+        ("pbgi:importance".to_owned(), Text(settings.importance.to_string())),
+        ("pbgi:raster".to_owned(), Int(settings.raster_edge as i32)),
+        ("pbgi:bias".to_owned(), Float(settings.bias)),
+        ("pbgi:receivers".to_owned(), Text(report.receivers.to_string())),
+    ];
+    if let Some(environment) = &settings.environment {
+        attributes.push(("pbgi:environment".to_owned(), Text(environment.to_string())));
+    }
+    if !report.damaged_pages.is_empty() {
+        let text = format!(
+            "{} left out: {}",
+            report.damaged_pages.len(),
+            list_pages(&report.damaged_pages)
+        );
+        attributes.push(("pbgi:damagedPages".to_owned(), Text(text)));
+    }
+    if let Some(check) = &report.check {
+        attributes.push(("pbgi:checkReceivers".to_owned(), Int(check.receivers as i32)));
+        attributes.push(("pbgi:checkQuantity".to_owned(), Text(check.quantity.to_owned())));
+        attributes.push(("pbgi:relativeRmse".to_owned(), Float(check.rrmse as f32)));
+        attributes.push(("pbgi:bias".to_owned() + "OfMean", Float(check.bias as f32)));
+        attributes.push(("pbgi:relativeErrorP99".to_owned(), Float(check.p99 as f32)));
+        if let Some(gloss) = &check.gloss {
+            attributes.push(("pbgi:glossRelativeRmse".to_owned(), Float(gloss.rrmse as f32)));
+        }
+    }
+    attributes
+}
+
+/// The last part of a path: images go to other machines, where folders mean nothing.
+fn file_name(path: &Path) -> String {
+    PathBuf::from(path.file_name().unwrap_or(path.as_os_str())).display().to_string()
+}

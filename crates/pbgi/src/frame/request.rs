@@ -1,0 +1,51 @@
+//! What picture to make.
+
+use crate::frame::camera_choice::CameraChoice;
+use crate::shade::ShadeSettings;
+use pbgi_image::{Aov, AovNames};
+use pbgi_scene::Scene;
+use std::path::Path;
+
+/// What picture to make.
+#[derive(Clone, Debug)]
+pub struct FrameRequest<'a> {
+    /// The octree file that lights and blocks.
+    pub octree: &'a Path,
+    /// The scene whose visible surfaces are shaded, in the world coordinates the octree was baked in.
+    /// Without one, the surfels of the octree themselves are drawn and shaded.
+    pub scene: Option<&'a Scene>,
+    /// The camera.
+    pub camera: CameraChoice,
+    /// Pixels along a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Samples per pixel for coverage: 1, 4, 8 or 16.
+    pub samples: u32,
+    /// Wanted area of a micropolygon in pixels.
+    pub shading_rate: f32,
+    /// Edge in pixels of the blocks in which pieces share gathers of broad light, 0 to 64; with 0 each piece gathers for
+    /// itself. Pictures without a scene do not share.
+    pub share_pixels: u32,
+    /// Channels to make.
+    pub aovs: Vec<Aov>,
+    /// Names of the channels.
+    pub names: AovNames,
+    /// Quality, light and resources.
+    pub settings: ShadeSettings,
+}
+
+/// The quantities a frame can have. [`Aov::SpecularIndirect`] is 0 without [`ShadeSettings::gloss`].
+pub const FRAME_AOVS: [Aov; 11] = [
+    Aov::Beauty,
+    Aov::DiffuseIndirect,
+    Aov::SpecularIndirect,
+    Aov::Irradiance,
+    Aov::Occlusion,
+    Aov::SkyVisibility,
+    Aov::BentNormal,
+    Aov::Position,
+    Aov::Normal,
+    Aov::Depth,
+    Aov::Albedo,
+];

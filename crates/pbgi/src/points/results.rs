@@ -1,0 +1,151 @@
+//! Results of points on their way into a file: a table, or the scan itself with more dimensions.
+
+use crate::PbgiError;
+use crate::points::scan::{is_scan, is_scan_name};
+use crate::points::{PointSource, PointsRequest};
+use pbgi_cloud::{LasResultWriter, RowWriter};
+use pbgi_gather::Shading;
+use pbgi_math::{DVec3, Vec3, luminance};
+
+/// Values collected before they go into a scan.
+const SCAN_VALUES: usize = 1 << 16;
+
+/// Columns of every result, before those that pass through.
+const RESULT_COLUMNS: [&str; 14] = [
+    "x",
+    "y",
+    "z",
+    "nx",
+    "ny",
+    "nz",
+    "irradiance_r",
+    "irradiance_g",
+    "irradiance_b",
+    "ao",
+    "sky_visibility",
+    "bent_nx",
+    "bent_ny",
+    "bent_nz",
+];
+
+/// Columns of glossy reflections, after those.
+const GLOSS_COLUMNS: [&str; 3] =
+    ["specular_indirect_r", "specular_indirect_g", "specular_indirect_b"];
+
+/// Columns of a surfel that go with it.
+const SURFEL_COLUMNS: [&str; 5] = ["radius", "area", "albedo_r", "albedo_g", "albedo_b"];
+
+/// Dimensions that a scan comes back with: luminance of the irradiance (Rec. 709) and its channels, W·m⁻².
+const SCAN_DIMENSIONS: [&str; 6] = [
+    "pbgi_irradiance",
+    "pbgi_irradiance_r",
+    "pbgi_irradiance_g",
+    "pbgi_irradiance_b",
+    "pbgi_ao",
+    "pbgi_sky_visibility",
+];
+
+/// Results on their way into a file.
+pub(crate) struct ResultWriter {
+    target: Target,
+    /// Whether rows have columns of glossy reflections.
+    has_gloss: bool,
+    /// Columns of the input that pass through.
+    pub passed_columns: Vec<usize>,
+}
+
+enum Target {
+    /// A table, and the row under way.
+    Rows(RowWriter, Vec<f64>),
+    /// The scan again, and values to be written.
+    Scan(Box<LasResultWriter>, Vec<f32>),
+}
+
+impl ResultWriter {
+    /// Starts the file: the scan of the source again where the target is named as one; else rows of results, then the columns
+    /// `names_in` of the input, or those of surfels without one. Positions are doubles where coordinates are relative to an `origin`.
+    pub fn create(
+        request: &PointsRequest<'_>,
+        names_in: Option<&[String]>,
+        origin: DVec3,
+    ) -> Result<Self, PbgiError> {
+        let target = request.target;
+        if is_scan_name(target) {
+            return match &request.source {
+                PointSource::File(path) if is_scan(path)? => {
+                    let writer = LasResultWriter::create(path, target, &SCAN_DIMENSIONS)?;
+                    let target = Target::Scan(Box::new(writer), Vec::new());
+                    Ok(Self { target, has_gloss: false, passed_columns: Vec::new() })
+                }
+                _ => Err(PbgiError::usage(format!(
+                    "{}: only the points of LAS and LAZ files come back as such; name a .ply, .npy or .csv file",
+                    target.display()
+                ))),
+            };
+        }
+        let double_count = if origin == DVec3::ZERO { 0 } else { 3 };
+        let mut names: Vec<&str> = RESULT_COLUMNS.to_vec();
+        let has_gloss = request.settings.gloss.is_some();
+        names.extend(GLOSS_COLUMNS.iter().filter(|_| has_gloss));
+        let mut passed_columns = Vec::new();
+        match names_in {
+            None => names.extend(SURFEL_COLUMNS),
+            Some(names_in) => {
+                for (index, name) in names_in.iter().enumerate() {
+                    if !names.contains(&name.as_str()) {
+                        names.push(name);
+                        passed_columns.push(index);
+                    }
+                }
+            }
+        }
+        let writer = RowWriter::create(target, &names, double_count)?;
+        let target = Target::Rows(writer, Vec::new());
+        Ok(Self { target, has_gloss, passed_columns })
+    }
+
+    /// Appends the result of a receiver and, in tables, what goes with it.
+    pub fn write(
+        &mut self,
+        position: DVec3,
+        normal: Vec3,
+        shading: &Shading,
+        others: impl IntoIterator<Item = f32>,
+    ) -> Result<(), PbgiError> {
+        let irradiance = shading.irradiance();
+        let open = [shading.ambient_occlusion, shading.sky_visibility];
+        match &mut self.target {
+            Target::Rows(writer, row) => {
+                row.clear();
+                row.extend(position.to_array());
+                let floats = normal.to_array().into_iter().chain(irradiance).chain(open);
+                let reflected = shading.reflected.into_iter().filter(|_| self.has_gloss);
+                let floats = floats.chain(shading.bent_normal.to_array());
+                let floats = floats.chain(reflected).chain(others);
+                row.extend(floats.map(f64::from));
+                writer.write_rows(row)?;
+            }
+            Target::Scan(writer, values) => {
+                values.push(luminance(irradiance));
+                values.extend(irradiance);
+                values.extend(open);
+                if values.len() >= SCAN_VALUES {
+                    writer.write(values)?;
+                    values.clear();
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Completes the file.
+    pub fn finish(self) -> Result<u64, PbgiError> {
+        match self.target {
+            Target::Rows(writer, _) => Ok(writer.finish()?),
+            Target::Scan(mut writer, values) => {
+                writer.write(&values)?;
+                Ok(writer.finish()?)
+            }
+        }
+    }
+}

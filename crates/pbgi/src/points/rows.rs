@@ -1,0 +1,67 @@
+//! Receivers from a file, in parts of bounded size.
+
+use crate::PbgiError;
+use crate::points::scan::ScanReader;
+use pbgi_cloud::{ReceiverReader, ReceiverTable};
+use pbgi_math::DVec3;
+use std::path::{Path, PathBuf};
+
+/// A file of receivers.
+pub(crate) enum PointRows {
+    /// Vertices of a PLY file.
+    Table(PathBuf, ReceiverReader),
+    /// Points of a scan.
+    Scan(ScanReader),
+}
+
+impl PointRows {
+    /// The vertices of a PLY file.
+    pub fn open_table(path: &Path) -> Result<Self, PbgiError> {
+        Ok(Self::Table(path.to_owned(), ReceiverReader::open(path)?))
+    }
+
+    /// Number of receivers the file claims to have.
+    pub fn count(&self) -> u64 {
+        match self {
+            Self::Table(_, reader) => reader.count(),
+            Self::Scan(reader) => reader.count(),
+        }
+    }
+
+    /// World position of the coordinate origin.
+    pub fn origin(&self) -> DVec3 {
+        match self {
+            Self::Table(_, reader) => reader.origin(),
+            Self::Scan(reader) => reader.origin(),
+        }
+    }
+
+    /// Names of the columns besides positions and normals.
+    pub fn names(&self) -> &[String] {
+        match self {
+            Self::Table(_, reader) => reader.names(),
+            Self::Scan(_) => &[],
+        }
+    }
+
+    /// Replaces `table` by the next rows, at most `rows_max`; `false` when there are no more.
+    pub fn read_chunk(
+        &mut self,
+        rows_max: usize,
+        table: &mut ReceiverTable,
+    ) -> Result<bool, PbgiError> {
+        match self {
+            Self::Table(_, reader) => Ok(reader.read_chunk(rows_max, table)?),
+            Self::Scan(reader) => reader.read_chunk(rows_max, table),
+        }
+    }
+
+    /// Starts over.
+    pub fn rewind(&mut self) -> Result<(), PbgiError> {
+        match self {
+            Self::Table(path, reader) => *reader = ReceiverReader::open(path)?,
+            Self::Scan(reader) => reader.rewind()?,
+        }
+        Ok(())
+    }
+}
