@@ -132,9 +132,6 @@ pub struct ViewArgs {
     /// Area of a micropolygon in pixels
     #[arg(long, value_name = "PIXELS", default_value_t = 1.0, hide_short_help = true)]
     pub shading_rate: f32,
-    /// Blocks of pixels that share broad light; 0 shares none
-    #[arg(long, value_name = "PIXELS", default_value_t = 0)]
-    pub share: u32,
 }
 
 impl ViewArgs {
@@ -323,6 +320,9 @@ pub struct QualityArgs {
     /// most of, the cosine of diffuse surfaces, bright nodes, nodes that are pieces of planes.
     #[arg(long, value_name = "TERMS", default_value = "all", hide_short_help = true)]
     pub importance: ImportanceTerms,
+    /// Draw everything for each receiver, also what is far from it and alike for its neighbors
+    #[arg(long)]
+    pub no_share: bool,
     /// Texels along a face of the cube raster
     #[arg(long, value_name = "N", default_value_t = ShadeSettings::default().raster_edge)]
     pub raster: usize,

@@ -6,7 +6,6 @@ pub(crate) mod pass_files;
 pub(crate) mod relight;
 pub(crate) mod report;
 pub(crate) mod request;
-pub(crate) mod share;
 
 use crate::PbgiError;
 use crate::bake::input::{Inputs, OctreeUse, SceneSampling};
@@ -378,7 +377,6 @@ impl<'a> Baker<'a> {
             octree: from.octree,
             light: &self.light,
             threads: from.threads,
-            chunk_surfels: self.memory.chunk_surfels,
             radiance_bound,
             phase: &phase,
             cancel: self.cancel,
@@ -386,11 +384,11 @@ impl<'a> Baker<'a> {
         let mut stream = RelitStream::new(sorted, pass);
         let summary = self.stream_summary(&summary, radiance_bound);
         let build = build_octree(&mut stream, &summary, options, target)?;
-        let (reached, gathers) = (stream.radiance_max, stream.gathers);
+        let reached = stream.radiance_max;
         phase.set_done(build.surfels);
         drop(phase);
         let report = PhaseReport::new(name, start.elapsed().as_secs_f64(), build.surfels);
-        self.report.phases.push(report.of_light(bounce, gathers));
+        self.report.phases.push(report.of_light(bounce));
         Ok((build, reached))
     }
 

@@ -16,7 +16,8 @@ use crate::points::scan::{ScanReader, is_scan, is_scan_name};
 use crate::points::table_receivers::{RowRules, TableReceivers, no_eye};
 use crate::shade::target::spread;
 use crate::shade::{
-    Session, ShadeReport, ShadeSettings, chunk_size, gloss_toward, read_header, up_axis,
+    CHUNK_RECEIVERS, Session, ShadeReport, ShadeSettings, chunk_bytes, gloss_toward, read_header,
+    up_axis,
 };
 use crate::{PbgiError, Progress};
 use pbgi_cloud::ReceiverTable;
@@ -93,7 +94,7 @@ pub fn shade_points(
     let names = rows.as_ref().map(PointRows::names);
     let mut writer = ResultWriter::create(request, names, origin)?;
     let attached = names.map_or(SURFEL_BYTES, |names| ROW_BYTES + COLUMN_BYTES * names.len());
-    let (chunk_receivers, chunk_bytes) = chunk_size(settings.memory_bytes, attached);
+    let chunk_bytes = chunk_bytes(attached);
     let writer_bytes = if is_scan_name(request.target) { SCAN_WRITER_BYTES } else { 0 };
     let frame_bytes = chunk_bytes + writer_bytes;
     let split = MemorySplit::measure(settings.memory_bytes, settings.threads)
@@ -101,7 +102,7 @@ pub fn shade_points(
     let extra_readers = usize::from(rows.is_none());
     let mut session =
         Session::open(request.octree, settings, environment, split, extra_readers, cancel)?;
-    let job = PointsJob { rules, chunk_receivers, progress, cancel };
+    let job = PointsJob { rules, progress, cancel };
     match &mut rows {
         Some(rows) => {
             if session.wants_calibration() {
@@ -149,7 +150,6 @@ fn open_rows(
 struct PointsJob<'a> {
     rules: RowRules,
     /// Receivers handed to the workers at once.
-    chunk_receivers: usize,
     progress: &'a Progress,
     cancel: &'a AtomicBool,
 }
@@ -168,7 +168,7 @@ impl SurfelReceivers {
         let material = Material { base_color: surfel.albedo, ..Material::default() };
         let gloss = gloss_toward(self.rules.gloss, material, surfel.center, self.eye);
         let normal = if surfel.isotropic { self.up } else { surfel.normal };
-        Receiver { position: surfel.center, normal, gloss }
+        Receiver { gloss, ..Receiver::diffuse(surfel.center, normal) }
     }
 }
 
@@ -206,7 +206,7 @@ impl PointsJob<'_> {
         let (mut sample, mut table, mut first) = (Vec::new(), ReceiverTable::default(), 0);
         loop {
             self.check_cancelled()?;
-            let more = rows.read_chunk(self.chunk_receivers, &mut table)?;
+            let more = rows.read_chunk(CHUNK_RECEIVERS, &mut table)?;
             let receivers = TableReceivers::new(&table, first as u64, &self.rules)?;
             while let Some(index) = wanted.next_if(|index| *index - first < table.len()) {
                 sample.push(receivers.receiver(index - first));
@@ -236,7 +236,7 @@ impl PointsJob<'_> {
                 while more {
                     self.check_cancelled()?;
                     let mut table = ReceiverTable::default();
-                    more = rows.read_chunk(self.chunk_receivers, &mut table)?;
+                    more = rows.read_chunk(CHUNK_RECEIVERS, &mut table)?;
                     let of_table = TableReceivers::new(&table, first, &self.rules)?;
                     first += table.len() as u64;
                     let receivers = (0..table.len()).map(|row| of_table.receiver(row)).collect();
@@ -276,7 +276,7 @@ impl PointsJob<'_> {
                         receivers.push(receiver_of.receiver(surfel));
                         let [r, g, b] = surfel.albedo;
                         others.push([surfel.radius, surfel.area, r, g, b]);
-                        if receivers.len() == self.chunk_receivers {
+                        if receivers.len() == CHUNK_RECEIVERS {
                             let receivers = std::mem::take(&mut receivers);
                             feed.push(Cow::Owned(receivers), std::mem::take(&mut others))?;
                         }

@@ -30,21 +30,15 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
-/// Receivers handed to the workers at once, at most.
-pub(crate) const CHUNK_RECEIVERS: usize = 1 << 16;
-/// Receivers handed to the workers at once, at least: two batches for each of many workers.
-const CHUNK_RECEIVERS_MIN: usize = 1 << 12;
-/// Share of the memory limit that chunks under way may take.
-const CHUNKS_SHARE: u64 = 16;
+/// Receivers handed to the workers at once. Blocks that share are of one chunk, so that it must depend neither on threads nor on memory.
+pub(crate) const CHUNK_RECEIVERS: usize = 1 << 14;
 
-/// Receivers of a chunk within a memory limit, where each has `attached_bytes` beside it, and the bytes of all chunks under way.
-pub(crate) fn chunk_size(memory_bytes: u64, attached_bytes: usize) -> (usize, u64) {
+/// Bytes of all chunks under way, where each receiver has `attached_bytes` beside it.
+pub(crate) fn chunk_bytes(attached_bytes: usize) -> u64 {
     // What is read into the next chunk and written from the last is held besides those in flight.
-    let each = (CHUNKS_IN_FLIGHT * RECEIVER_BYTES_IN_FLIGHT
-        + (CHUNKS_IN_FLIGHT + 2) * attached_bytes) as u64;
-    let fitting = usize::try_from(memory_bytes / CHUNKS_SHARE / each).unwrap_or(CHUNK_RECEIVERS);
-    let receivers = fitting.clamp(CHUNK_RECEIVERS_MIN, CHUNK_RECEIVERS);
-    (receivers, receivers as u64 * each)
+    let each =
+        CHUNKS_IN_FLIGHT * RECEIVER_BYTES_IN_FLIGHT + (CHUNKS_IN_FLIGHT + 2) * attached_bytes;
+    (CHUNK_RECEIVERS * each) as u64
 }
 
 /// Where distant light comes from.
@@ -170,6 +164,8 @@ pub struct ShadeSettings {
     pub importance: ImportanceTerms,
     /// Texels along a face of the cube raster, 1 to 64.
     pub raster_edge: usize,
+    /// Whether receivers that are near each other share what is far from them; else each draws all for itself.
+    pub share: bool,
     /// Glossy reflections, if any.
     pub gloss: Option<GlossSettings>,
     /// Surfels that rise less than this share of their radius above a receiver's tangent plane are its
@@ -206,6 +202,7 @@ impl Default for ShadeSettings {
             target_error: None,
             importance: gather.importance,
             raster_edge: gather.raster_edge,
+            share: true,
             gloss: None,
             bias: gather.bias,
             environment: None,
@@ -252,10 +249,19 @@ impl ShadeSettings {
             importance: self.importance,
             raster_edge: self.raster_edge,
             bias: self.bias,
+            parallax: if self.share { shared_parallax() } else { 0.0 },
             up: up_axis(header),
             ..GatherSettings::default()
         }
     }
+}
+
+/// The parallax of blocks of receivers.
+fn shared_parallax() -> f32 {
+    std::env::var("PBGI_PARALLAX")
+        .ok()
+        .and_then(|v| v.parse().ok())
+        .unwrap_or(GatherSettings::default().parallax)
 }
 
 /// The direction of the sky in a file.
@@ -284,8 +290,6 @@ pub(crate) struct Session<'a> {
     /// The file that requests for pages are recorded in.
     trace: Option<PathBuf>,
     target: Option<TargetReport>,
-    /// Whether receivers share gathers, so that the check tells what sharing costs.
-    pub shares: bool,
     done: ScheduleReport,
     memory: MemorySplit,
     /// What the user should know of, one sentence each.
@@ -340,7 +344,6 @@ impl<'a> Session<'a> {
             target_error: settings.target_error,
             trace: settings.io.trace.clone(),
             target: None,
-            shares: false,
             done: ScheduleReport::default(),
             memory,
             warnings,
@@ -527,7 +530,7 @@ impl<'a> Session<'a> {
         let receivers: Vec<Receiver> = sample.iter().map(|s| s.receiver).collect();
         let phase = progress.start_phase("check", "receivers", Some(receivers.len() as u64));
         let options = ShadeOptions {
-            gather: GatherSettings { solid_angle_sr: 0.0, ..self.gather },
+            gather: GatherSettings { solid_angle_sr: 0.0, parallax: 0.0, ..self.gather },
             threads: self.threads,
             cancel: self.cancel,
             progress: &|done| phase.set_done(done),
@@ -538,9 +541,9 @@ impl<'a> Session<'a> {
         drop(phase);
         let seconds = start.elapsed().as_secs_f64();
         let mut alone = None;
-        if self.shares {
+        if self.gather.parallax > 0.0 {
             let (threads, cancel) = (self.threads, self.cancel);
-            let gather = self.gather;
+            let gather = GatherSettings { parallax: 0.0, ..self.gather };
             let options = ShadeOptions { gather, threads, cancel, ..ShadeOptions::default() };
             let (own, _) = shade_receivers(&self.octree, light, &receivers, &options)?;
             alone = AloneReport::new(&own, &references).ok();
