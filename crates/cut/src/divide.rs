@@ -1,7 +1,9 @@
 //! Which nodes are far from a block of receivers, and which are near: what is far looks alike to all of them.
 
 use crate::metric::{NodeSeen, Threshold};
-use crate::node::{Group, NodeRef, Viewpoint, bad_link, pin_sound_page, view_group};
+use crate::node::{
+    Group, Limits, NodeRef, Viewpoint, bad_link, distance, pin_sound_page, view_group,
+};
 use crate::stats::CutStats;
 use crate::walk::{CutReceiver, WalkFrom, root_place};
 use pbgi_format::{CHILDREN_MAX, ChildLink};
@@ -16,6 +18,9 @@ pub trait Separation {
 
 /// Share of the separating distance that the radius of a near node may have: larger ones are opened, so that little that is far counts as near.
 const NEAR_RADIUS: f32 = 0.2;
+
+/// Near leaves up to which receivers have little left to draw.
+const NEAR_FEW: usize = 4;
 
 /// A threshold for groups that are opened to be divided: nothing is dropped but what is below the horizon.
 struct Undecided;
@@ -70,7 +75,7 @@ impl Division {
                 let group = Group::open(reader, place, view, &Undecided, &layout, stats)?;
                 self.push_children(&group, 1, view);
             }
-            WalkFrom::Nodes(nodes) => {
+            WalkFrom::Nodes(nodes, _) => {
                 let is_seen = |node: &&NodeRef| is_above(view, node);
                 self.stack.extend(nodes.iter().filter(is_seen));
             }
@@ -81,15 +86,20 @@ impl Division {
             let seen = view.see(low, high, node.is_plane, node.brightness);
             let least = separation.distance_min(&seen);
             let apart = distance(&node.bounds, around);
+            let outer_within = node.limits.within;
             if apart >= least + overlap {
-                self.far.push(node);
+                self.far.push(NodeRef { limits: Limits { outer_within, ..Limits::NONE }, ..node });
                 continue;
             }
             let is_small = seen.radius2 <= (NEAR_RADIUS * least).powi(2);
             if node.is_leaf || is_small {
-                self.near.push(node);
-                if apart >= least {
-                    self.far.push(node);
+                let near = Limits { within: least + overlap, ..Limits::NONE };
+                self.near.push(NodeRef { limits: near, ..node });
+                // Of a leaf, those surfels are far that are so by themselves.
+                let beyond = if node.is_leaf { least } else { 0.0 };
+                if apart >= least || (node.is_leaf && farthest(&node.bounds, around) > least) {
+                    let far = Limits { beyond, outer_within, ..Limits::NONE };
+                    self.far.push(NodeRef { limits: far, ..node });
                 }
                 continue;
             }
@@ -120,6 +130,12 @@ impl Division {
         Ok(())
     }
 
+    /// Whether so little is near that dividing again gains nothing.
+    #[must_use]
+    pub fn has_few_near(&self) -> bool {
+        self.near.len() <= NEAR_FEW && self.near.iter().all(|node| node.is_leaf)
+    }
+
     fn push_children(&mut self, group: &Group, level: usize, view: &Viewpoint) {
         for octant in 0..CHILDREN_MAX as u8 {
             if group.octants & !group.below & (1 << octant) != 0 {
@@ -135,8 +151,8 @@ fn is_above(view: &Viewpoint, node: &NodeRef) -> bool {
     view.top(low, high) > view.bias
 }
 
-/// Distance between two boxes.
+/// Largest distance of a point of a box from another box.
 #[inline(always)]
-fn distance(a: &Aabb, b: &Aabb) -> f32 {
-    (a.min - b.max).max(b.min - a.max).max(Vec3::ZERO).length()
+fn farthest(a: &Aabb, b: &Aabb) -> f32 {
+    (a.max - b.max).max(b.min - a.min).max(Vec3::ZERO).length()
 }

@@ -1,6 +1,6 @@
 //! Surfels of a leaf, nearest first.
 
-use crate::node::{bad_link, node_seed, pin_sound_page};
+use crate::node::{Limits, bad_link, node_seed, pin_sound_page};
 use crate::own_surface::is_own_surface;
 use crate::stats::CutStats;
 use crate::walk::{CutReceiver, CutVisitor, SurfelSeen};
@@ -9,7 +9,7 @@ use pbgi_math::{Aabb, Vec3};
 use pbgi_store::{Reader, StoreError};
 
 /// A leaf to be opened.
-pub(crate) struct Leaf {
+pub(crate) struct Leaf<'b> {
     pub page: Option<PageId>,
     /// First byte, and surfels.
     pub place: (u32, u32),
@@ -19,13 +19,15 @@ pub(crate) struct Leaf {
     pub owner: PageId,
     /// Its level.
     pub level: usize,
+    /// Which of its surfels count, if not all.
+    pub limits: Option<(&'b Limits, [&'b Aabb; 2])>,
 }
 
 /// Gives the visitor the surfels of a leaf that the receiver may see.
 #[inline(always)]
 pub(crate) fn take_leaf<V: CutVisitor>(
     reader: &mut Reader<'_>,
-    leaf: &Leaf,
+    leaf: &Leaf<'_>,
     receiver: &CutReceiver,
     visitor: &mut V,
     order: &mut Vec<(f32, u32)>,
@@ -45,7 +47,10 @@ pub(crate) fn take_leaf<V: CutVisitor>(
     let position = receiver.view.position;
     order.clear();
     for index in 0..surfels.count() {
-        order.push(((surfels.center(index) - position).length_squared(), index));
+        let center = surfels.center(index);
+        if leaf.limits.is_none_or(|(limits, boxes)| limits.hold(center, boxes)) {
+            order.push(((center - position).length_squared(), index));
+        }
     }
     // Ties by place in the file, so that the order is total.
     order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));

@@ -23,6 +23,36 @@ pub struct NodeRef {
     /// Level of its group, the root's is 1.
     pub(crate) level: u8,
     pub(crate) brightness: f32,
+    pub(crate) limits: Limits,
+}
+
+/// Which surfels of a leaf count, by their distance from the box of a block and from that of the block around it: of a leaf that is near and far at
+/// once, some are drawn by one block and some by the other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Limits {
+    /// Least distance from the inner box.
+    pub beyond: f32,
+    /// Distance from the inner box, and from the outer one, from which on they do not count.
+    pub within: f32,
+    pub outer_within: f32,
+}
+
+impl Limits {
+    pub const NONE: Self = Self { beyond: 0.0, within: f32::INFINITY, outer_within: f32::INFINITY };
+
+    /// Whether a surfel with this center counts.
+    #[inline(always)]
+    pub fn hold(&self, center: Vec3, [inner, outer]: [&Aabb; 2]) -> bool {
+        let point = Aabb { min: center, max: center };
+        let apart = distance(&point, inner);
+        apart >= self.beyond && apart < self.within && distance(&point, outer) < self.outer_within
+    }
+}
+
+/// Distance between two boxes.
+#[inline(always)]
+pub(crate) fn distance(a: &Aabb, b: &Aabb) -> f32 {
+    (a.min - b.max).max(b.min - a.max).max(Vec3::ZERO).length()
 }
 
 /// A box around unit vectors: the normals of one receiver or of many.
@@ -243,6 +273,7 @@ impl Group {
             is_plane: self.planes >> index & 1 != 0,
             level: level.min(LEVELS) as u8,
             brightness: self.brightness[index],
+            limits: Limits::NONE,
         }
     }
 }

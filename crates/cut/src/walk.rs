@@ -4,7 +4,8 @@ use crate::cluster::Cluster;
 use crate::leaf::{Leaf, take_leaf};
 use crate::metric::Threshold;
 use crate::node::{
-    Group, NodeRef, Normals, Viewpoint, bad_link, judge, node_seed, pin_sound_page, view_group,
+    Group, Limits, NodeRef, Normals, Viewpoint, bad_link, judge, node_seed, pin_sound_page,
+    view_group,
 };
 use crate::stats::CutStats;
 use pbgi_format::{CHILDREN_MAX, Channels, ChildLink, LeafSurfel, Lobe, PageId};
@@ -117,8 +118,8 @@ pub struct CutScratch {
 pub enum WalkFrom<'n> {
     /// At the root of the file.
     Root,
-    /// At these nodes, none of which is in another.
-    Nodes(&'n [NodeRef]),
+    /// At these nodes, none of which is in another, for a block with this box in a block with the other.
+    Nodes(&'n [NodeRef], [&'n Aabb; 2]),
 }
 
 /// Walks the octree, octants front to back, and gives the visitor every node or surfel of the cut.
@@ -152,8 +153,9 @@ pub fn pick_cut<V: CutVisitor, T: Threshold>(
             scratch.frames.push(Frame { wanted: group.octants, group, step: 0, level: 1 });
             return walk(reader, receiver, threshold, visitor, scratch, stats);
         }
-        WalkFrom::Nodes(nodes) => nodes,
+        WalkFrom::Nodes(nodes, boxes) => (nodes, boxes),
     };
+    let (nodes, boxes) = nodes;
     // What is dropped is dropped before its page is asked for.
     let position = receiver.view.position;
     let mut order = std::mem::take(&mut scratch.nodes);
@@ -168,8 +170,15 @@ pub fn pick_cut<V: CutVisitor, T: Threshold>(
     order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     let mut walked = Ok(());
     for &(_, index) in &order {
-        walked =
-            walk_node(reader, &nodes[index as usize], receiver, threshold, visitor, scratch, stats);
+        walked = walk_node(
+            reader,
+            (&nodes[index as usize], boxes),
+            receiver,
+            threshold,
+            visitor,
+            scratch,
+            stats,
+        );
         if walked.is_err() {
             break;
         }
@@ -202,7 +211,7 @@ pub(crate) fn root_place(
 #[inline(always)]
 fn walk_node<V: CutVisitor, T: Threshold>(
     reader: &mut Reader<'_>,
-    node: &NodeRef,
+    (node, boxes): (&NodeRef, [&Aabb; 2]),
     receiver: &CutReceiver,
     threshold: &T,
     visitor: &mut V,
@@ -229,6 +238,7 @@ fn walk_node<V: CutVisitor, T: Threshold>(
         low,
         high,
         level,
+        limits: (node.limits != Limits::NONE).then_some((&node.limits, boxes)),
     };
     visit_child(reader, &child, receiver, threshold, visitor, scratch, stats)?;
     walk(reader, receiver, threshold, visitor, scratch, stats)
@@ -273,6 +283,7 @@ fn walk<V: CutVisitor, T: Threshold>(
             low,
             high,
             level: frame.level,
+            limits: None,
         };
         take_child(reader, &child, margin, receiver, threshold, visitor, scratch, stats)?;
     }
@@ -298,6 +309,8 @@ struct Child<'p> {
     low: Vec3,
     high: Vec3,
     level: usize,
+    /// Which of its surfels count, if not all.
+    limits: Option<(&'p Limits, [&'p Aabb; 2])>,
 }
 
 /// Takes a node or goes on below it, if anything of it can be seen.
@@ -355,6 +368,7 @@ fn take_child<V: CutVisitor, T: Threshold>(
                 frame: group.leaf_frame(index),
                 owner: page_id,
                 level,
+                limits: child.limits,
             };
             let order = &mut scratch.order;
             return take_leaf(reader, &leaf, receiver, visitor, order, &layout, stats);

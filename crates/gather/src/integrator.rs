@@ -58,6 +58,11 @@ pub struct GatherSettings {
     pub simd: SimdLevel,
 }
 
+impl GatherSettings {
+    /// A parallax whose error is about that of the default cut: blending is of second order in it.
+    pub const SHARED_PARALLAX: f32 = 0.2;
+}
+
 impl Default for GatherSettings {
     fn default() -> Self {
         Self {
@@ -66,7 +71,7 @@ impl Default for GatherSettings {
             raster_edge: 16,
             lobe_level: 3,
             bias: 0.4,
-            parallax: 0.3,
+            parallax: 0.0,
             parts: GatherParts::All,
             up: Vec3::Y,
             simd: SimdLevel::detect(),

@@ -14,6 +14,7 @@ mod receiver;
 mod reflect;
 mod visitors;
 
+pub use block::block_bytes;
 pub use importance::ImportanceTerms;
 pub use integrator::{GatherParts, GatherSettings, Gatherer};
 pub use light::PreparedLight;

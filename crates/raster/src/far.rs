@@ -4,8 +4,8 @@ use crate::lanes::SAMPLES;
 use crate::samples::run;
 use crate::table::LANES;
 
-/// Most places whose far fields are blended: the corners of a box.
-pub const FAR_PLACES_MAX: usize = 8;
+/// Most places whose far fields are blended: the corners of a rectangle, or of a tetrahedron.
+pub const FAR_PLACES_MAX: usize = 4;
 
 /// Numbers of light per texel: three channels, and its moment along u and v.
 pub(crate) const FAR_PLANES: usize = 5;
@@ -70,7 +70,7 @@ impl<'a> FarBlend<'a> {
     #[must_use]
     #[inline(always)]
     pub fn new(fields: &'a [FarField], weights: [f32; FAR_PLACES_MAX]) -> Self {
-        assert!(fields.len() <= FAR_PLACES_MAX, "at most the corners of a box");
+        assert!(fields.len() <= FAR_PLACES_MAX, "at most four places");
         let mut deals = [[0; 2 * PATTERNS]; FAR_PLACES_MAX];
         for pattern in 0..PATTERNS {
             // The rounding differs from pattern to pattern, so that on the mean over texels weights are exact.

@@ -16,7 +16,7 @@ pub const CHUNKS_IN_FLIGHT: usize = 2;
 pub const RECEIVER_BYTES_IN_FLIGHT: usize =
     size_of::<Receiver>() + size_of::<Shading>() + size_of::<(u64, u32)>() + size_of::<u32>();
 
-/// In which order the receivers of a chunk are shaded; never changes their results.
+/// In which order the receivers of a chunk are shaded. Changes their results only where neighbors share.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ReceiverOrder {
     /// Along the Morton curve, so that neighbors share pages.

@@ -97,6 +97,7 @@ impl Light {
         let settings = GatherSettings {
             solid_angle_sr: request.solid_angle_sr,
             raster_edge: request.raster_edge,
+            parallax: GatherSettings::SHARED_PARALLAX,
             up,
             ..GatherSettings::default()
         };

@@ -136,7 +136,7 @@ impl<'a> FrameJob<'a> {
         let header = read_header(request.octree)?;
         let environment =
             settings.environment.as_ref().map(|e| e.load(header.flags.z_up)).transpose()?;
-        let split = MemorySplit::measure(settings.memory_bytes, settings.threads);
+        let split = MemorySplit::measure(settings);
         let (image, per_row) = frame_bytes(request);
         let frame = image + per_row * u64::from(TILE_ROWS);
         let split = split.grant(frame, frame)?;
@@ -376,9 +376,9 @@ mod tests {
         }
     }
 
-    /// A limit that makes bands must not show: neither in the image nor in what is measured.
+    /// Blocks share across all that is done at once, which must follow neither the threads nor the limit.
     #[test]
-    fn bands_give_the_image_of_the_whole() {
+    fn neither_threads_nor_memory_change_the_image() {
         let folder = tempfile::tempdir().unwrap();
         let octree = folder.path().join("box.pbgi");
         let bake_request = BakeRequest {
@@ -391,17 +391,15 @@ mod tests {
         bake(&bake_request, &progress, &cancel).unwrap();
         let scene = load_scene("demo:cornell").unwrap();
         for scene in [Some(&scene), None] {
-            let request = request(&octree, scene);
-            let make = |band_rows: u32| {
-                let mut job = FrameJob::prepare(&request, &cancel).unwrap();
-                assert_eq!(job.band_rows, 192);
-                job.band_rows = band_rows;
-                job.run(&progress).unwrap()
+            let make = |threads: usize, memory_bytes: u64| {
+                let mut request = request(&octree, scene);
+                request.settings = ShadeSettings { threads, memory_bytes, ..request.settings };
+                FrameJob::prepare(&request, &cancel).unwrap().run(&progress).unwrap()
             };
-            let (whole, bands) = (make(192), make(64));
-            assert!(whole.image == bands.image);
-            assert_eq!(whole.attributes, bands.attributes);
-            assert_eq!(whole.report.receivers, bands.report.receivers);
+            let (one, many) = (make(1, 4 << 30), make(3, 2 << 30));
+            assert!(one.image == many.image);
+            assert_eq!(one.attributes, many.attributes);
+            assert_eq!(one.report.receivers, many.report.receivers);
         }
     }
 }

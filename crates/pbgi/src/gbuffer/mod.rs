@@ -90,8 +90,7 @@ pub fn shade_gbuffer(
         )));
     }
     let bytes = result_bytes(&gbuffer, &request.aovs);
-    let split =
-        MemorySplit::measure(settings.memory_bytes, settings.threads).grant(bytes, bytes)?;
+    let split = MemorySplit::measure(settings).grant(bytes, bytes)?;
     let mut session = Session::open(request.octree, settings, environment, split, 0, cancel)?;
     let rules = RowRules { origin: header.origin, eye: None, gloss: settings.gloss };
     let rows = TableReceivers::new(&gbuffer.surfaces, 0, &rules)?;

@@ -97,8 +97,7 @@ pub fn shade_points(
     let chunk_bytes = chunk_bytes(attached);
     let writer_bytes = if is_scan_name(request.target) { SCAN_WRITER_BYTES } else { 0 };
     let frame_bytes = chunk_bytes + writer_bytes;
-    let split = MemorySplit::measure(settings.memory_bytes, settings.threads)
-        .grant(frame_bytes, frame_bytes)?;
+    let split = MemorySplit::measure(settings).grant(frame_bytes, frame_bytes)?;
     let extra_readers = usize::from(rows.is_none());
     let mut session =
         Session::open(request.octree, settings, environment, split, extra_readers, cancel)?;

@@ -249,19 +249,11 @@ impl ShadeSettings {
             importance: self.importance,
             raster_edge: self.raster_edge,
             bias: self.bias,
-            parallax: if self.share { shared_parallax() } else { 0.0 },
+            parallax: if self.share { GatherSettings::SHARED_PARALLAX } else { 0.0 },
             up: up_axis(header),
             ..GatherSettings::default()
         }
     }
-}
-
-/// The parallax of blocks of receivers.
-fn shared_parallax() -> f32 {
-    std::env::var("PBGI_PARALLAX")
-        .ok()
-        .and_then(|v| v.parse().ok())
-        .unwrap_or(GatherSettings::default().parallax)
 }
 
 /// The direction of the sky in a file.
