@@ -62,6 +62,7 @@ pub use inspect::{LevelInfo, OctreeCheck, OctreeInfo};
 pub use memory::{peak_resident_bytes, resident_bytes};
 pub use memory_split::MemorySplit;
 pub use output::{check_writable, refuse_to_overwrite};
+pub use output_path::check_suffix;
 pub use pbgi_cloud::{ClassFilter, CloudOptions, InvalidPolicy, PlyWriter};
 pub use pbgi_image::{Aov, AovNames, AovPreset, write_environment_exr};
 pub use pbgi_light::{SkyParameters, UpAxis, synthetic_sky};
@@ -72,7 +73,8 @@ pub use points::{PointSource, PointsRequest, shade_points};
 pub use progress::{Phase, Progress, ProgressMode, Verbosity};
 pub use relight::{BOUNCES_MAX, LightRequest};
 pub use shade::{
-    EnvironmentSpec, GlossSettings, LightSource, ShadeReport, ShadeSettings, StoreSettings,
+    EnvironmentSpec, GlossSettings, LightSource, LoadedEnvironment, ShadeReport, ShadeSettings,
+    StoreSettings,
 };
 pub use shade_statistics::{CacheReport, CutReport, LevelReport};
 pub use target::TargetReport;

@@ -7,7 +7,7 @@
 
 use crate::PbgiError;
 use crate::progress::Phase;
-use crate::shade::EnvironmentSpec;
+use crate::shade::{EnvironmentSpec, LoadedEnvironment};
 use crate::share::{Shared, cell_len};
 use pbgi_build::{Piece, PieceSource, PieceTask, SortedStream, StreamError};
 use pbgi_cloud::Surfel;
@@ -101,6 +101,8 @@ pub(crate) struct Light {
     bounces: u32,
     /// Most surfels that share a gather.
     pub share: usize,
+    /// What of the environment's file was left out or read differently.
+    pub warnings: Vec<String>,
 }
 
 impl Light {
@@ -115,9 +117,11 @@ impl Light {
         };
         let (bounces, share) = (request.bounces, request.share);
         let Some(spec) = &request.environment else {
-            return Ok(Self { settings, environment: None, irradiance_max: 0.0, bounces, share });
+            let warnings = Vec::new();
+            let (environment, irradiance_max) = (None, 0.0);
+            return Ok(Self { settings, environment, irradiance_max, bounces, share, warnings });
         };
-        let environment = spec.load(z_up)?;
+        let LoadedEnvironment { environment, warnings } = spec.load(z_up)?;
         let irradiance_max = spread_directions(BOUND_DIRECTIONS)
             .flat_map(|direction| environment.irradiance(direction))
             .fold(0.0, f32::max);
@@ -127,6 +131,7 @@ impl Light {
             irradiance_max: irradiance_max * BOUND_MARGIN,
             bounces,
             share,
+            warnings,
         })
     }
 
