@@ -301,7 +301,7 @@ mod tests {
             }
             let image = read_environment(&path).unwrap();
             assert_eq!((image.width, image.height), (width, width / 2));
-            let luminances = image.pixels.iter().map(|p| pbgi_math::luminance(*p));
+            let luminances = image.pixels.iter().map(|p| luminance(*p));
             let channels = image.pixels.iter().flatten().copied();
             let found = [luminances.fold(0f32, f32::max), channels.fold(0f32, f32::max)];
             assert!(found.iter().any(|f| (f / max - 1.0).abs() < 0.01), "{name}: {found:?}");
