@@ -116,6 +116,8 @@ struct LightArgs {
     #[arg(long)]
     unlit: bool,
     /// Environment that lights the surfels, .exr or .hdr
+    ///
+    /// Its middle is seen along +Z (with +Z up, along -Y); --env-rotate 90 places it as Blender and three.js do, whose middle is +X.
     #[arg(long, value_name = "IMAGE")]
     env: Option<PathBuf>,
     /// Rotation of the environment about the upward axis
@@ -257,7 +259,8 @@ fn run(args: &Args, cancel: &AtomicBool) -> Result<(), PbgiError> {
     if !json_on_stdout {
         cli::print(&cli::format_table(&report.rows()))?;
     }
-    args.stats_json.as_deref().map_or(Ok(()), |path| cli::write_json(path, &report))
+    args.stats_json.as_deref().map_or(Ok(()), |path| cli::write_json(path, &report))?;
+    args.common.judge(&report.warnings)
 }
 
 fn main() -> ExitCode {

@@ -242,6 +242,9 @@ pub struct AnimationArgs {
 #[command(next_help_heading = "Light")]
 pub struct LightArgs {
     /// Equirectangular environment, EXR or HDR
+    ///
+    /// Its middle is seen along +Z (with +Z up, along -Y), a quarter from its left edge along +X, as OpenEXR and Mitsuba have it;
+    /// --env-rotate 90 places it as Blender and three.js do, whose middle is +X.
     #[arg(long, value_name = "FILE", conflicts_with = "env_color")]
     pub env: Option<PathBuf>,
     /// Uniform environment of this radiance

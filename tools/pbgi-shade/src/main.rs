@@ -9,8 +9,8 @@ use clap::Parser;
 use pbgi::cli::{self, format_table};
 use pbgi::{
     FRAME_AOVS, Frame, FrameRequest, GBUFFER_AOVS, GBufferRequest, GBufferSpace, PbgiError,
-    PointSource, PointsRequest, Progress, Scene, ShadeReport, ShadeSettings, check_writable,
-    load_scene, refuse_to_overwrite, shade_frame, shade_gbuffer, shade_points,
+    PointSource, PointsRequest, Progress, Scene, ShadeReport, ShadeSettings, check_suffix,
+    check_writable, load_scene, refuse_to_overwrite, shade_frame, shade_gbuffer, shade_points,
 };
 use std::path::Path;
 use std::process::ExitCode;
@@ -41,13 +41,13 @@ struct SceneCache(Option<(String, Scene)>);
 
 impl SceneCache {
     /// The scene called `name`; its warnings are given when it is read.
-    fn load(&mut self, name: &str, progress: &Progress) -> Result<&Scene, PbgiError> {
+    fn load(&mut self, name: &str, warnings: &mut Vec<String>) -> Result<&Scene, PbgiError> {
         let known = self.0.take().filter(|(known, _)| known == name);
         let entry = match known {
             Some(entry) => entry,
             None => {
                 let scene = load_scene(name)?;
-                scene.warnings.iter().for_each(|warning| progress.warn(warning));
+                warnings.extend(scene.warnings.iter().map(|warning| format!("{name}: {warning}")));
                 (name.to_owned(), scene)
             }
         };
@@ -72,6 +72,12 @@ fn shade_one(
         }
     }
     check_writable(&args.output)?;
+    if args.points.receivers.is_none() && !args.points.surfels {
+        check_suffix(&args.output, &["exr"], "pictures")?;
+    }
+    for path in [&output.preview, &output.contact_sheet].into_iter().flatten() {
+        check_suffix(path, &["png"], "previews")?;
+    }
     let report = match &args.points.receivers {
         Some(path) => points(args, PointSource::File(path.clone()), settings, &progress, cancel),
         None if args.points.surfels => {
@@ -97,7 +103,7 @@ fn shade_one(
             cli::print(&format_table(&report.statistics()))?;
         }
     }
-    Ok(())
+    args.common.judge(&report.warnings)
 }
 
 fn settings(args: &ShadeArgs) -> ShadeSettings {
@@ -125,7 +131,9 @@ fn picture(
     cancel: &AtomicBool,
 ) -> Result<ShadeReport, PbgiError> {
     let aovs = args.output_options.parse_aovs(&FRAME_AOVS, settings.gloss.is_some())?;
-    let scene = args.view.scene.as_deref().map(|name| scenes.load(name, progress)).transpose()?;
+    let mut warnings = Vec::new();
+    let scene = args.view.scene.as_deref();
+    let scene = scene.map(|name| scenes.load(name, &mut warnings)).transpose()?;
     let request = FrameRequest {
         octree: &args.octree,
         scene,
@@ -138,7 +146,9 @@ fn picture(
         names: args.output_options.names(),
         settings,
     };
-    write_frame(args, shade_frame(&request, progress, cancel)?)
+    let mut report = write_frame(args, shade_frame(&request, progress, cancel)?)?;
+    report.warnings.splice(0..0, warnings);
+    Ok(report)
 }
 
 fn gbuffer(

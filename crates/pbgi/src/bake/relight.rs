@@ -6,7 +6,7 @@
 
 use crate::PbgiError;
 use crate::cli::progress::Phase;
-use crate::shade::{CHUNK_RECEIVERS, EnvironmentSpec};
+use crate::shade::{CHUNK_RECEIVERS, EnvironmentSpec, LoadedEnvironment};
 use pbgi_build::{Piece, PieceSource, PieceTask, SortedStream, StreamError};
 use pbgi_cloud::Surfel;
 use pbgi_gather::{GatherSettings, PreparedLight, Receiver, Shading};
@@ -88,6 +88,8 @@ pub(crate) struct Light {
     /// No surfel receives more from the environment, W·m⁻².
     irradiance_max: f32,
     bounces: u32,
+    /// What of the environment's file was left out or read differently.
+    pub warnings: Vec<String>,
 }
 
 impl Light {
@@ -103,9 +105,11 @@ impl Light {
         };
         let bounces = request.bounces;
         let Some(spec) = &request.environment else {
-            return Ok(Self { settings, environment: None, irradiance_max: 0.0, bounces });
+            let warnings = Vec::new();
+            let (environment, irradiance_max) = (None, 0.0);
+            return Ok(Self { settings, environment, irradiance_max, bounces, warnings });
         };
-        let environment = spec.load(z_up)?;
+        let LoadedEnvironment { environment, warnings } = spec.load(z_up)?;
         let irradiance_max = spread_directions(BOUND_DIRECTIONS)
             .flat_map(|direction| environment.irradiance(direction))
             .fold(0.0, f32::max);
@@ -114,6 +118,7 @@ impl Light {
             environment: Some(PreparedLight::new(&environment, request.raster_edge)),
             irradiance_max: irradiance_max * BOUND_MARGIN,
             bounces,
+            warnings,
         })
     }
 

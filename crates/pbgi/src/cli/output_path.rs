@@ -69,6 +69,25 @@ pub(crate) fn check_output(output: &Path, force: bool, inputs: &[String]) -> Res
         .map_err(|e| PbgiError::output(output, "create", e))
 }
 
+/// Refuses a name whose suffix tells of another format than what will be in the file. `what` is for the message, in the plural.
+///
+/// # Errors
+///
+/// [`PbgiError::Usage`], naming the suffixes that are right.
+pub fn check_suffix(path: &Path, suffixes: &[&str], what: &str) -> Result<(), PbgiError> {
+    let suffix = path.extension().unwrap_or_default();
+    if suffixes.iter().any(|s| suffix.eq_ignore_ascii_case(s)) {
+        return Ok(());
+    }
+    let expected: Vec<String> = suffixes.iter().map(|s| format!(".{s}")).collect();
+    let preview = if what == "pictures" { " (--preview writes a .png)" } else { "" };
+    Err(PbgiError::usage(format!(
+        "{}: {what} are written as {}{preview}; name such a file (-o)",
+        path.display(),
+        expected.join(", ")
+    )))
+}
+
 /// Path in `temp_dir` for what a bake of `output` leaves between its phases, without its last extension. Always the same for the same
 /// output, so that the next run takes over what a killed one left; different for different outputs.
 pub(crate) fn temporary_path(temp_dir: &Path, output: &Path) -> PathBuf {
@@ -101,6 +120,17 @@ mod tests {
         let inputs = [path("old.pbgi").to_str().unwrap().to_owned()];
         assert!(check_output(&path("old.pbgi"), true, &inputs).is_err());
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn suffixes_tell_what_is_written() {
+        let check = |name: &str| check_suffix(Path::new(name), &["exr"], "pictures");
+        assert!(check("a.exr").is_ok() && check("b/a.0001.EXR").is_ok());
+        for name in ["a.png", "a", "exr", "a.exr.gz"] {
+            let error = check(name).unwrap_err();
+            assert_eq!(error.exit_code(), 2);
+            assert!(error.to_string().contains("written as .exr (--preview"), "{error}");
+        }
     }
 
     #[test]

@@ -160,7 +160,8 @@ impl FrameImage {
     pub fn into_image(self, names: &AovNames) -> Image {
         let mut image = Image::new(self.width, self.height);
         for (aov, channels) in self.planes {
-            for (name, data) in names.channels(aov).into_iter().zip(channels) {
+            for (name, mut data) in names.channels(aov).into_iter().zip(channels) {
+                data.iter_mut().for_each(|value| *value = names.value(aov, *value));
                 image.push(name, data);
             }
         }

@@ -9,7 +9,7 @@ pub(crate) mod scatter;
 pub(crate) mod table_receivers;
 
 use crate::budget::split::MemorySplit;
-use crate::cli::output_path::folder_of;
+use crate::cli::output_path::{check_suffix, folder_of};
 use crate::points::results::ResultWriter;
 use crate::points::rows::PointRows;
 use crate::points::scan::{ScanReader, is_scan, is_scan_name};
@@ -60,7 +60,7 @@ pub struct PointsRequest<'a> {
 const SURFEL_BYTES: usize = size_of::<[f32; 5]>();
 /// Bytes of a row beside its receiver: position, normal, and each column.
 const ROW_BYTES: usize = 24;
-const COLUMN_BYTES: usize = 4;
+const COLUMN_BYTES: usize = 12;
 /// Bytes that writing a scan may hold: points as they were and as they will be, and a chunk of the compressor.
 const SCAN_WRITER_BYTES: u64 = 12 << 20;
 
@@ -82,6 +82,7 @@ pub fn shade_points(
     let start = Instant::now();
     let settings = &request.settings;
     settings.validate()?;
+    check_suffix(request.target, &["ply", "npy", "csv", "las", "laz"], "tables")?;
     let header = read_header(request.octree)?;
     let environment =
         settings.environment.as_ref().map(|e| e.load(header.flags.z_up)).transpose()?;
@@ -91,9 +92,9 @@ pub fn shade_points(
         return Err(no_eye());
     }
     let rules = RowRules { origin: header.origin, eye: request.eye, gloss: settings.gloss };
-    let names = rows.as_ref().map(PointRows::names);
-    let mut writer = ResultWriter::create(request, names, origin)?;
-    let attached = names.map_or(SURFEL_BYTES, |names| ROW_BYTES + COLUMN_BYTES * names.len());
+    let mut writer = ResultWriter::create(request, rows.as_ref(), origin)?;
+    let attached =
+        rows.as_ref().map_or(SURFEL_BYTES, |rows| ROW_BYTES + COLUMN_BYTES * rows.columns().len());
     let chunk_bytes = chunk_bytes(attached);
     let writer_bytes = if is_scan_name(request.target) { SCAN_WRITER_BYTES } else { 0 };
     let frame_bytes = chunk_bytes + writer_bytes;
@@ -101,6 +102,7 @@ pub fn shade_points(
     let extra_readers = usize::from(rows.is_none());
     let mut session =
         Session::open(request.octree, settings, environment, split, extra_readers, cancel)?;
+    session.warnings.extend(lost_elements(rows.as_ref(), request.target));
     let job = PointsJob { rules, progress, cancel };
     match &mut rows {
         Some(rows) => {
@@ -122,6 +124,22 @@ pub fn shade_points(
     writer.finish()?;
     report.total_seconds = start.elapsed().as_secs_f64();
     Ok(report)
+}
+
+/// What of a file of receivers its results do not have, where they are not a PLY file.
+fn lost_elements(rows: Option<&PointRows>, target: &Path) -> Option<String> {
+    let is_ply = target.extension().is_some_and(|e| e.eq_ignore_ascii_case("ply"));
+    let elements = rows.map_or(&[][..], PointRows::other_elements);
+    if is_ply || elements.is_empty() {
+        return None;
+    }
+    let names: Vec<String> =
+        elements.iter().map(|e| format!("{} rows of `{}`", e.count, e.name)).collect();
+    Some(format!(
+        "{} has no place for {}; a .ply file keeps them",
+        target.display(),
+        names.join(", ")
+    ))
 }
 
 /// The file of receivers, if they come from one, and the number of phases of the run.
@@ -247,7 +265,7 @@ impl PointsJob<'_> {
                 let table = &chunk.attached;
                 for (row, shading) in chunk.shadings.iter().enumerate() {
                     let position = table.positions[row].as_dvec3() + table.origin;
-                    let others = passed_columns.iter().map(|i| table.columns[*i].values[row]);
+                    let others = passed_columns.iter().map(|i| table.columns[*i].value(row));
                     writer.write(position, table.normals[row], shading, others)?;
                 }
                 Ok(())
@@ -288,6 +306,7 @@ impl PointsJob<'_> {
                 let results = chunk.receivers.iter().zip(&chunk.shadings).zip(chunk.attached);
                 for ((receiver, shading), others) in results {
                     let position = receiver.position.as_dvec3() + self.rules.origin;
+                    let others = others.map(f64::from);
                     writer.write(position, receiver.normal, shading, others)?;
                 }
                 Ok(())

@@ -15,7 +15,7 @@ use pbgi_format::{Channels, Header};
 use pbgi_gather::{
     GatherParts, GatherSettings, Gloss, ImportanceTerms, Material, PreparedLight, Receiver, Shading,
 };
-use pbgi_image::read_environment;
+use pbgi_image::read_environment_noting;
 use pbgi_light::{Environment, EnvironmentOptions, UpAxis};
 use pbgi_math::Vec3;
 use pbgi_schedule::{
@@ -48,6 +48,15 @@ pub enum LightSource {
     File(PathBuf),
     /// The same radiance from every direction, W·m⁻²·sr⁻¹.
     Uniform([f32; 3]),
+}
+
+/// Distant light, ready to be used.
+#[derive(Clone, Debug)]
+pub struct LoadedEnvironment {
+    /// The light.
+    pub environment: Environment,
+    /// What of its file was left out or read differently, one sentence each.
+    pub warnings: Vec<String>,
 }
 
 /// Distant light and how it is placed.
@@ -86,12 +95,13 @@ impl EnvironmentSpec {
     ///
     /// If the image cannot be read, is not equirectangular, or has a negative or non-finite pixel; if a
     /// uniform color, the rotation or the scale is out of range.
-    pub fn load(&self, z_up: bool) -> Result<Environment, PbgiError> {
+    pub fn load(&self, z_up: bool) -> Result<LoadedEnvironment, PbgiError> {
         match &self.source {
             LightSource::Uniform(rgb) => {
                 let radiance = rgb.map(|c| c * self.scale);
                 if radiance.iter().all(|c| c.is_finite() && *c >= 0.0) {
-                    return Ok(Environment::uniform(radiance));
+                    let environment = Environment::uniform(radiance);
+                    return Ok(LoadedEnvironment { environment, warnings: Vec::new() });
                 }
                 Err(PbgiError::usage(format!(
                     "the environment's color is ({}, {}, {}), expected finite values of at least 0",
@@ -99,15 +109,18 @@ impl EnvironmentSpec {
                 )))
             }
             LightSource::File(path) => {
-                let image = read_environment(path)?;
+                let read = read_environment_noting(path)?;
+                let named = |warning| format!("{}: {warning}", path.display());
+                let warnings = read.warnings.into_iter().map(named).collect();
                 let options = EnvironmentOptions {
                     rotate_degrees: self.rotate_degrees,
                     scale: self.scale,
                     up: if z_up { UpAxis::Z } else { UpAxis::Y },
                     ..EnvironmentOptions::default()
                 };
-                Environment::from_image(image, options)
-                    .map_err(|source| PbgiError::Environment { path: path.clone(), source })
+                let environment = Environment::from_image(read.image, options)
+                    .map_err(|source| PbgiError::Environment { path: path.clone(), source })?;
+                Ok(LoadedEnvironment { environment, warnings })
             }
         }
     }
@@ -294,11 +307,14 @@ impl<'a> Session<'a> {
     pub fn open(
         path: &Path,
         settings: &ShadeSettings,
-        environment: Option<Environment>,
+        environment: Option<LoadedEnvironment>,
         memory: MemorySplit,
         extra_readers: usize,
         cancel: &'a AtomicBool,
     ) -> Result<Self, PbgiError> {
+        let (environment, warnings) =
+            environment.map(|loaded| (loaded.environment, loaded.warnings)).unzip();
+        let mut warnings: Vec<String> = warnings.unwrap_or_default();
         let options = OpenOptions {
             cache_bytes: memory.cache_bytes,
             readers: settings.threads + extra_readers,
@@ -316,7 +332,6 @@ impl<'a> Session<'a> {
             None => PreparedLight::new,
         };
         let light = environment.as_ref().map(|e| prepare(e, settings.raster_edge));
-        let mut warnings = Vec::new();
         if light.is_none() && octree.header().channels == Channels::Occlusion {
             warnings.push(
                 "there is no light: the file stores none and no environment is given; AO, sky \

@@ -1,6 +1,7 @@
 //! The containers of glTF: GLB chunks, data URIs, files beside the JSON.
 
 use crate::SceneError;
+use crate::find_file::find_file;
 use std::borrow::Cow;
 use std::path::Path;
 
@@ -79,7 +80,11 @@ pub(super) fn resolve_uri(path: &Path, place: &str, uri: &str) -> Result<Vec<u8>
     let name = decode_percent(uri)
         .and_then(|bytes| String::from_utf8(bytes).ok())
         .ok_or_else(|| malformed("bad %-escape in a file name"))?;
-    let file = path.parent().unwrap_or(Path::new("")).join(name);
+    let file = find_file(path, &name).ok_or_else(|| {
+        let file = path.parent().unwrap_or(Path::new("")).join(&name);
+        let source = std::io::Error::new(std::io::ErrorKind::NotFound, "there is no such file");
+        SceneError::io(&file, "read", source)
+    })?;
     std::fs::read(&file).map_err(|e| SceneError::io(&file, "read", e))
 }
 
@@ -90,6 +95,10 @@ pub(super) fn load_buffers<'a>(
     binary: Option<&'a [u8]>,
 ) -> Result<Vec<Cow<'a, [u8]>>, SceneError> {
     let load = |(i, buffer): (usize, &gltf::json::Buffer)| {
+        // What nothing refers to need not be there.
+        if root.buffer_views.iter().all(|view| view.buffer.value() != i) {
+            return Ok(Cow::Borrowed(&[][..]));
+        }
         let data = match (&buffer.uri, binary) {
             (Some(uri), _) => Cow::Owned(resolve_uri(path, &format!("buffer {i}"), uri)?),
             (None, Some(binary)) if i == 0 => Cow::Borrowed(binary),

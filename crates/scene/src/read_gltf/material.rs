@@ -2,9 +2,11 @@
 
 use super::accessor::Accessors;
 use super::container::resolve_uri;
-use crate::decode_texture::decode_texture;
-use crate::{Material, SceneError, Texture};
+use super::prepare::Extras;
+use crate::decode_texture::decode_image;
+use crate::{Material, Scene, SceneError, Texture, Wrap};
 use gltf::material::AlphaMode;
+use gltf::texture::WrappingMode;
 use pbgi_math::Vec2;
 use rayon::prelude::*;
 use std::path::Path;
@@ -22,6 +24,8 @@ pub(super) struct UvSource {
 pub(super) struct Materials {
     pub materials: Vec<Material>,
     pub textures: Vec<Texture>,
+    /// Index of the gray one for primitives without any.
+    default: usize,
     /// One per material; `None` without textures.
     pub uv_sources: Vec<Option<UvSource>>,
     pub warnings: Vec<String>,
@@ -33,6 +37,19 @@ struct TextureKey {
     image: usize,
     keeps_alpha: bool,
     srgb: bool,
+    wrap: [Wrap; 2],
+}
+
+impl TextureKey {
+    fn new(info: &gltf::texture::Info, keeps_alpha: bool, srgb: bool) -> Self {
+        let (image, sampler) = (info.texture().source().index(), info.texture().sampler());
+        let wrap = [sampler.wrap_s(), sampler.wrap_t()].map(|mode| match mode {
+            WrappingMode::Repeat => Wrap::Repeat,
+            WrappingMode::ClampToEdge => Wrap::Clamp,
+            WrappingMode::MirroredRepeat => Wrap::Mirror,
+        });
+        Self { image, keeps_alpha, srgb, wrap }
+    }
 }
 
 impl UvSource {
@@ -55,35 +72,123 @@ impl UvSource {
     }
 }
 
-/// Reads all materials, and last, under the index after theirs, one for primitives without any.
+/// Reads all materials. Textures that cannot be read are left out with a warning: the shape matters more than its color.
 pub(super) fn read_materials(
     path: &Path,
     document: &gltf::Document,
     accessors: Accessors,
+    extras: &Extras,
 ) -> Result<Materials, SceneError> {
     let mut keys = Vec::new();
-    let mut result =
-        Materials { materials: vec![], textures: vec![], uv_sources: vec![], warnings: vec![] };
+    let mut result = Materials {
+        materials: vec![],
+        textures: vec![],
+        default: document.materials().len(),
+        uv_sources: vec![],
+        warnings: vec![],
+    };
     for material in document.materials() {
-        let (material, uv_source) = read_material(&material, &mut keys, &mut result.warnings);
+        let (mut material, uv_source) = read_material(&material, &mut keys, &mut result.warnings);
+        let number = result.materials.len();
+        if let Some(&factor) = extras.transmissions.get(&number) {
+            result.warnings.push(let_through(&mut material, factor));
+        }
         result.materials.push(material);
         result.uv_sources.push(uv_source);
     }
-    let decode = |key: &TextureKey| decode_image(path, accessors, *key);
-    let textures: Result<Vec<Texture>, SceneError> = keys.par_iter().map(decode).collect();
-    result.textures = textures?;
+    let decode = |key: &TextureKey| read_texture(path, accessors, extras, *key);
+    let textures: Vec<Option<Result<Texture, String>>> = keys.par_iter().map(decode).collect();
+    // Where each went.
+    let mut places = Vec::new();
+    for texture in textures {
+        let texture = texture.transpose();
+        let texture = texture.unwrap_or_else(|e| {
+            if !result.warnings.contains(&e) {
+                result.warnings.push(e);
+            }
+            None
+        });
+        places.push(texture.map(|texture| {
+            result.textures.push(texture);
+            result.textures.len() as u32 - 1
+        }));
+    }
+    let place = |key: Option<u32>| key.and_then(|key| places[key as usize]);
     let metal_maps = document.materials().map(|m| metallic_roughness_key(&m)).collect::<Vec<_>>();
     for (material, key) in result.materials.iter_mut().zip(metal_maps) {
-        if let Some(key) = key {
-            apply_metallic_roughness(&decode_image(path, accessors, key)?, material);
-            let text = "has a metallic-roughness texture; its mean is used";
-            result.warnings.push(format!("material {} {text}", material.name));
+        material.base_color_texture = place(material.base_color_texture);
+        let glow = place(material.emission_texture);
+        if material.emission_texture.is_some() && glow.is_none() {
+            material.emission = [0.0; 3];
         }
-        drop_needless_cutoff(material, &result.textures);
+        material.emission_texture = glow;
+        let Some(key) = key else { continue };
+        let name = &material.name;
+        result.warnings.push(match decode(&key) {
+            Some(Ok(texture)) => {
+                let text = "has a metallic-roughness texture; its mean is used";
+                let text = format!("material {name} {text}");
+                apply_metallic_roughness(&texture, material);
+                text
+            }
+            found => {
+                let why = found.map_or(String::new(), |e| e.err().unwrap_or_default());
+                let text =
+                    "has a metallic-roughness texture that is not read; it is taken for no metal";
+                let text = format!("material {name} {text}. {why}");
+                material.metallic = 0.0;
+                text
+            }
+        });
     }
-    result.materials.push(Material { name: "default".into(), ..Material::default() });
-    result.uv_sources.push(None);
     Ok(result)
+}
+
+/// What light passes through is left out, as what blends below one half is.
+fn let_through(material: &mut Material, factor: f32) -> String {
+    let name = &material.name;
+    if factor > 0.5 {
+        let text =
+            format!("material {name} lets light through (transmission {factor}); it is left out");
+        material.alpha_cutoff = Some(f32::INFINITY);
+        return text;
+    }
+    format!(
+        "material {name} lets some light through (transmission {factor}, or by a texture); it blocks all of it here"
+    )
+}
+
+impl Materials {
+    /// Index of the material of primitives without any: gray, or where vertices have colors, of those.
+    pub fn default_index(&self, is_colored: bool) -> usize {
+        self.default + usize::from(is_colored)
+    }
+
+    /// Puts materials and textures into the scene whose meshes use them; those for primitives without any only where there are such.
+    pub fn finish(mut self, scene: &mut Scene) {
+        for (number, material) in self.materials.iter_mut().enumerate() {
+            let meshes = scene.meshes.iter().filter(|mesh| mesh.material as usize == number);
+            let alphas = meshes.flat_map(|mesh| &mesh.alphas).copied();
+            drop_needless_cutoff(material, &self.textures, alphas.reduce(f32::min).unwrap_or(1.0));
+        }
+        for base_color in [Material::default().base_color, [1.0; 3]] {
+            let next =
+                scene.meshes.iter().any(|mesh| mesh.material as usize == self.materials.len());
+            let colored = self.default + 1;
+            if next {
+                self.materials.push(Material {
+                    name: "default".into(),
+                    base_color,
+                    ..Material::default()
+                });
+            } else if base_color != [1.0; 3] {
+                // Those of the colored one move up.
+                let moved = scene.meshes.iter_mut().filter(|m| m.material as usize == colored);
+                moved.for_each(|mesh| mesh.material = self.default as u32);
+            }
+        }
+        (scene.materials, scene.textures) = (self.materials, self.textures);
+    }
 }
 
 fn read_material(
@@ -106,8 +211,7 @@ fn read_material(
     // The factor belongs to the alpha; our cutoff is compared with that of the texture alone.
     let alpha_cutoff = cutoff.map(|c| if alpha > 0.0 { c / alpha } else { f32::INFINITY });
     let mut add_texture = |info: &gltf::texture::Info, keeps_alpha| {
-        let image = info.texture().source().index();
-        let key = TextureKey { image, keeps_alpha, srgb: true };
+        let key = TextureKey::new(info, keeps_alpha, true);
         let place = keys.iter().position(|k| *k == key);
         place.unwrap_or_else(|| {
             keys.push(key);
@@ -149,7 +253,7 @@ fn read_specular(material: &gltf::Material) -> f32 {
 
 fn metallic_roughness_key(material: &gltf::Material) -> Option<TextureKey> {
     let info = material.pbr_metallic_roughness().metallic_roughness_texture()?;
-    Some(TextureKey { image: info.texture().source().index(), keeps_alpha: false, srgb: false })
+    Some(TextureKey::new(&info, false, false))
 }
 
 /// Multiplies the factors by the texture's means: roughness in green, metalness in blue.
@@ -160,27 +264,44 @@ fn apply_metallic_roughness(texture: &Texture, material: &mut Material) {
 }
 
 /// A surface without a single hole is cheaper as an opaque one.
-fn drop_needless_cutoff(material: &mut Material, textures: &[Texture]) {
+fn drop_needless_cutoff(material: &mut Material, textures: &[Texture], vertex_min: f32) {
     let texture = material.base_color_texture.and_then(|t| textures.get(t as usize));
     let alpha_min = texture.map_or(1.0, Texture::alpha_min);
-    if material.alpha_cutoff.is_some_and(|cutoff| cutoff <= alpha_min) {
+    if material.alpha_cutoff.is_some_and(|cutoff| cutoff <= alpha_min * vertex_min) {
         material.alpha_cutoff = None;
     }
 }
 
-fn decode_image(path: &Path, accessors: Accessors, key: TextureKey) -> Result<Texture, SceneError> {
-    let place = format!("image {}", key.image);
-    let malformed = |message: String| SceneError::malformed(path, format!("{place}: {message}"));
-    let image = accessors.root.images.get(key.image);
-    let image = image.ok_or_else(|| malformed("there is no such image".into()))?;
+/// Reads and decodes a texture. `None` where a warning tells of its image already; the error is one.
+fn read_texture(
+    path: &Path,
+    accessors: Accessors,
+    extras: &Extras,
+    key: TextureKey,
+) -> Option<Result<Texture, String>> {
+    if key.image >= extras.image_count {
+        return None;
+    }
+    let named = |e: String| format!("image {} is left out: {e}", key.image);
+    Some(decode(path, accessors, key).map_err(named))
+}
+
+fn decode(path: &Path, accessors: Accessors, key: TextureKey) -> Result<Texture, String> {
+    let image = accessors.root.images.get(key.image).ok_or("there is no such image")?;
     let owned;
-    let bytes = match (&image.buffer_view, &image.uri) {
-        (Some(view), _) => accessors.view(view.value()).map_err(malformed)?,
+    let (name, bytes) = match (&image.buffer_view, &image.uri) {
+        (Some(view), _) => ("", accessors.view(view.value())?),
         (None, Some(uri)) => {
-            owned = resolve_uri(path, &place, uri)?;
-            &owned
+            let place = format!("image {}", key.image);
+            owned = resolve_uri(path, &place, uri).map_err(|e| e.to_string())?;
+            (if uri.starts_with("data:") { "" } else { uri.as_str() }, owned.as_slice())
         }
-        (None, None) => return Err(malformed("has neither a buffer view nor a uri".into())),
+        (None, None) => return Err("it has neither a buffer view nor a uri".into()),
     };
-    decode_texture(path, &place, bytes, key.keeps_alpha, key.srgb)
+    let decoded = decode_image(name, bytes)?;
+    let (width, height) = decoded.dimensions();
+    let opaque = |[r, g, b, a]: [u8; 4]| [r, g, b, if key.keeps_alpha { a } else { 255 }];
+    let texels = decoded.pixels().map(|p| opaque(p.0)).collect();
+    let texture = Texture::new(width, height, texels, key.srgb).ok_or("it has no pixels")?;
+    Ok(texture.with_wrap(key.wrap))
 }
