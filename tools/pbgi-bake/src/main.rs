@@ -135,6 +135,9 @@ struct LightArgs {
     /// Texels along a face of the cube raster
     #[arg(long, value_name = "N", default_value_t = 6)]
     bounce_raster: usize,
+    /// Draw everything for each surfel, also what is far from it and alike for its neighbors
+    #[arg(long)]
+    no_share: bool,
 }
 
 /// Layout of the file.
@@ -218,6 +221,7 @@ impl Args {
                 bounces: light.bounces,
                 solid_angle_sr: light.bounce_solid_angle,
                 raster_edge: light.bounce_raster,
+                share: !light.no_share,
             },
             resume: self.resume,
             temp_dir: self.temp_dir.clone(),

@@ -28,6 +28,8 @@ pub struct LightRequest {
     pub solid_angle_sr: f32,
     /// Texels along a face of the cube raster, 1 to 64.
     pub raster_edge: usize,
+    /// Whether surfels that are near each other share what is far from them; else each draws all for itself.
+    pub share: bool,
 }
 
 /// Most bounces: light that passed between surfaces that often is not seen.
@@ -35,7 +37,7 @@ pub const BOUNCES_MAX: u32 = 64;
 
 impl Default for LightRequest {
     fn default() -> Self {
-        Self { environment: None, bounces: 0, solid_angle_sr: 0.2, raster_edge: 6 }
+        Self { environment: None, bounces: 0, solid_angle_sr: 0.2, raster_edge: 6, share: true }
     }
 }
 
@@ -99,7 +101,7 @@ impl Light {
         let settings = GatherSettings {
             solid_angle_sr: request.solid_angle_sr,
             raster_edge: request.raster_edge,
-            parallax: GatherSettings::SHARED_PARALLAX,
+            parallax: if request.share { GatherSettings::SHARED_PARALLAX } else { 0.0 },
             up,
             ..GatherSettings::default()
         };

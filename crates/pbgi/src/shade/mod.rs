@@ -30,6 +30,9 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
+/// Error of the cut for which the usual parallax is as fine as it should be.
+const USUAL_ERROR: f64 = 0.03;
+
 /// Receivers handed to the workers at once. Blocks that share are of one chunk, so that it must depend neither on threads nor on memory.
 pub(crate) const CHUNK_RECEIVERS: usize = 1 << 14;
 
@@ -387,12 +390,16 @@ impl<'a> Session<'a> {
         let calibration = Calibration {
             octree: &self.octree,
             light: self.light.as_ref(),
-            gather: self.gather,
+            // The sample is too thin to share anything.
+            gather: GatherSettings { parallax: 0.0, ..self.gather },
             threads: self.threads,
             cancel: self.cancel,
         };
         let report = calibration.choose(target, receivers, progress)?;
         self.gather.solid_angle_sr = report.solid_angle_sr;
+        // Its error is of second order.
+        let finer = (target / USUAL_ERROR).sqrt().clamp(0.2, 1.5);
+        self.gather.parallax *= finer as f32;
         self.target = Some(report);
         Ok(())
     }
