@@ -135,9 +135,9 @@ struct LightArgs {
     /// Texels along a face of the cube raster
     #[arg(long, value_name = "N", default_value_t = 6)]
     bounce_raster: usize,
-    /// Draw everything for each surfel, also what is far from it and alike for its neighbors
-    #[arg(long)]
-    no_share: bool,
+    /// Most neighbors on one surface that share a gather; 1 gathers for each
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    bounce_share: usize,
 }
 
 /// Layout of the file.
@@ -221,7 +221,7 @@ impl Args {
                 bounces: light.bounces,
                 solid_angle_sr: light.bounce_solid_angle,
                 raster_edge: light.bounce_raster,
-                share: !light.no_share,
+                share: light.bounce_share,
             },
             resume: self.resume,
             temp_dir: self.temp_dir.clone(),

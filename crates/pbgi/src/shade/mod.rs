@@ -30,9 +30,6 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
-/// Error of the cut for which the usual parallax is as fine as it should be.
-const USUAL_ERROR: f64 = 0.03;
-
 /// Receivers handed to the workers at once. Blocks that share are of one chunk, so that it must depend neither on threads nor on memory.
 pub(crate) const CHUNK_RECEIVERS: usize = 1 << 14;
 
@@ -218,7 +215,7 @@ impl Default for ShadeSettings {
             target_error: None,
             importance: gather.importance,
             raster_edge: gather.raster_edge,
-            share: true,
+            share: false,
             gloss: None,
             bias: gather.bias,
             environment: None,
@@ -265,7 +262,11 @@ impl ShadeSettings {
             importance: self.importance,
             raster_edge: self.raster_edge,
             bias: self.bias,
-            parallax: if self.share { GatherSettings::SHARED_PARALLAX } else { 0.0 },
+            parallax: if self.share {
+                GatherSettings::shared_parallax(self.solid_angle_sr)
+            } else {
+                0.0
+            },
             up: up_axis(header),
             ..GatherSettings::default()
         }
@@ -397,9 +398,9 @@ impl<'a> Session<'a> {
         };
         let report = calibration.choose(target, receivers, progress)?;
         self.gather.solid_angle_sr = report.solid_angle_sr;
-        // Its error is of second order.
-        let finer = (target / USUAL_ERROR).sqrt().clamp(0.2, 1.5);
-        self.gather.parallax *= finer as f32;
+        if self.gather.parallax > 0.0 {
+            self.gather.parallax = GatherSettings::shared_parallax(report.solid_angle_sr);
+        }
         self.target = Some(report);
         Ok(())
     }

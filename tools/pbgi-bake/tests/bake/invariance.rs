@@ -133,17 +133,18 @@ fn bounces_add_light_to_a_room_with_a_lamp() {
 }
 
 #[test]
-fn what_is_shared_depends_on_no_limit_and_keeps_the_light() {
+fn shared_gathers_depend_on_no_chunk_and_keep_the_light() {
     let bench = Bench::new();
-    let bake = |options: &[&str]| {
-        let args = ["demo:room?surfels=40k", "--bounces", "1", "--force"];
-        let flux = bench.bake(&[&args[..], options].concat(), "room.pbgi");
+    let bake = |share, memory| {
+        let args = ["demo:room?surfels=40k", "--bounces", "1", "--force", "--memory-limit", memory];
+        let flux = bench.bake(&[&args[..], &["--bounce-share", share]].concat(), "room.pbgi");
         (bench.read("room.pbgi"), flux.flux_total[1])
     };
-    let (small, flux) = bake(&["--memory-limit", "100MiB", "--threads", "1"]);
-    let (large, _) = bake(&["--memory-limit", "1GiB", "--threads", "2"]);
+    // Limits below 256 MiB shade smaller chunks.
+    let (small, flux) = bake("16", "100MiB");
+    let (large, _) = bake("16", "1GiB");
     assert!(small == large);
-    let (_, exact) = bake(&["--no-share"]);
+    let (_, exact) = bake("1", "1GiB");
     assert!((flux / exact - 1.0).abs() < 0.01, "{flux} {exact}");
 }
 
