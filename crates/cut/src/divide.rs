@@ -53,6 +53,7 @@ impl Division {
     /// # Errors
     ///
     /// If a page cannot be read or contradicts itself.
+    #[expect(clippy::too_many_arguments, reason = "the state of one walk")]
     pub fn divide<S: Separation>(
         &mut self,
         reader: &mut Reader<'_>,
