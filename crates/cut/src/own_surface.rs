@@ -51,7 +51,7 @@ pub(crate) fn is_own_surface(surfel: &LeafSurfel, receiver: &CutReceiver) -> boo
     if surfel.tile.is_known() {
         let is_alike = surfel.normal.dot(plane) > 0.0;
         let share = if is_alike { ALIKE_BIAS } else { OUTLINE_BIAS };
-        let bound = receiver.bias + share * surfel.radius;
+        let bound = share * surfel.radius;
         return height + reach_along(surfel, plane) <= bound;
     }
     let tilt = surfel.normal.dot(plane);
@@ -59,7 +59,7 @@ pub(crate) fn is_own_surface(surfel: &LeafSurfel, receiver: &CutReceiver) -> boo
     let is_facing = !surfel.isotropic && tilt < 0.0;
     let share =
         if is_facing { FACING_BIAS.min(receiver.surfel_bias) } else { receiver.surfel_bias };
-    let least = receiver.bias + share * surfel.radius;
+    let least = share * surfel.radius;
     if height <= least && height + reach_along(surfel, plane) <= least {
         return true;
     }

@@ -120,7 +120,7 @@ impl<'a> Gatherer<'a> {
             settings: *settings,
             light,
             raster: CubeRaster::new(&table, shines),
-            blocks: Blocks::new(&table),
+            blocks: if settings.parallax > 0.0 { Blocks::new(&table) } else { Blocks::default() },
             table: ConvolutionTable::new(&table, settings.up),
             lobe: LobeScratch::new(settings.lobe_level),
             stakes: None,
