@@ -358,3 +358,61 @@ fn divide_members(receivers: &[Receiver], members: &mut [u32], around: &Aabb) ->
     let low = members.partition_point(|index| !is_high(index));
     [low, members.len() - low]
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Receivers on a lattice of a box with these edges, turned so that no axis is the world's.
+    fn lattice(edges: Vec3) -> Vec<Receiver> {
+        let turn = Frame::from_normal(Vec3::new(0.3, 0.8, -0.4).normalize());
+        let at = |i: usize| {
+            let part = Vec3::new((i % 3) as f32, (i / 3 % 3) as f32, (i / 9) as f32) * 0.5;
+            turn.tangent * (part.x * edges.x)
+                + turn.bitangent * (part.y * edges.y)
+                + turn.normal * (part.z * edges.z)
+        };
+        (0..27).map(|i| Receiver::diffuse(at(i), turn.normal)).collect()
+    }
+
+    #[test]
+    fn what_is_linear_is_blended_exactly() {
+        for (edges, count) in [
+            (Vec3::new(2.0, 1.0, 0.0), 4),
+            (Vec3::new(2.0, 0.0, 0.0), 2),
+            (Vec3::ZERO, 1),
+            (Vec3::new(2.0, 1.0, 1.5), 4),
+        ] {
+            let receivers = lattice(edges);
+            let members: Vec<u32> = (0..27).collect();
+            let place_box = PlaceBox::new(&receivers, &members);
+            assert_eq!(place_box.count(), count, "{edges}");
+            for receiver in &receivers {
+                let weights = place_box.weights(receiver.position);
+                assert!((weights.iter().sum::<f32>() - 1.0).abs() < 1e-5);
+                let place = |number| place_box.place(number) * weights[number];
+                let blended: Vec3 = (0..count).map(place).sum();
+                // Of a box, only what lies in the tetrahedron is between its places.
+                let is_between = !place_box.is_thick() || weights.iter().all(|w| *w > 0.0);
+                let apart = blended.distance(receiver.position);
+                assert!(!is_between || apart < 1e-5, "{edges}: {apart}");
+            }
+        }
+    }
+
+    #[test]
+    fn halves_have_all_members_once() {
+        let receivers = lattice(Vec3::new(2.0, 1.0, 0.5));
+        let mut members: Vec<u32> = (0..27).collect();
+        let around = Aabb::from_points(receivers.iter().map(|r| r.position));
+        let parts = divide_members(&receivers, &mut members, &around);
+        assert!(parts.iter().sum::<usize>() == 27 && parts.iter().all(|len| *len > 6), "{parts:?}");
+        let axis = around.extent().max_position();
+        let (low, high) = members.split_at(parts[0]);
+        let along = |index: &u32| receivers[*index as usize].position[axis];
+        let lowest_high = high.iter().map(along).fold(f32::INFINITY, f32::min);
+        assert!(low.iter().map(along).all(|x| x <= lowest_high));
+        members.sort_unstable();
+        assert!(members.into_iter().eq(0..27));
+    }
+}

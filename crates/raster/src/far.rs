@@ -150,3 +150,41 @@ impl<'a> FarBlend<'a> {
         ([r, g, b], [u, v])
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A field of some texels, all covered so and with this light.
+    fn field(texels: usize, mask: u16, light: f32) -> FarField {
+        let mut field = FarField::default();
+        field.resize(texels, true);
+        for start in (0..texels).step_by(LANES) {
+            field.set(start, &[mask; LANES], &[[light; LANES]; FAR_PLANES]);
+        }
+        field
+    }
+
+    /// Each place decides its weight's share of the samples on the mean over texels; what all places cover stays covered.
+    #[test]
+    fn samples_are_dealt_out_by_weight_and_none_twice() {
+        let texels = 16 * LANES;
+        for weights in [[1.0, 0.0, 0.0, 0.0], [0.25; 4], [0.53, 0.31, 0.16, 0.0]] {
+            for place in 0..4 {
+                let one = |i| field(texels, if i == place { u16::MAX } else { 0 }, i as f32);
+                let fields: Vec<FarField> = (0..4).map(one).collect();
+                let blend = FarBlend::new(&fields, weights);
+                let masks = (0..texels).step_by(LANES).flat_map(|start| blend.masks(start));
+                let covered: u32 = masks.map(u16::count_ones).sum();
+                let share = covered as f32 / (texels * SAMPLES) as f32;
+                assert!((share - weights[place]).abs() < 0.005, "{weights:?} {place}: {share}");
+                let light = blend.planes(0, &[0.5; LANES])[0][3];
+                let mean: f32 = (0..4).map(|i| weights[i] * i as f32).sum();
+                assert!((light - 0.5 * mean).abs() < 1e-6);
+            }
+            let closed = vec![field(texels, u16::MAX, 0.0); 4];
+            let blend = FarBlend::new(&closed, weights);
+            assert!((0..texels).step_by(LANES).all(|s| blend.masks(s) == [u16::MAX; LANES]));
+        }
+    }
+}
