@@ -1,7 +1,9 @@
 //! Writing tables of named columns as PLY.
 
+use crate::CloudError;
+use crate::output::{commit_output, create_output};
 use crate::row_writer::check_names;
-use crate::{AtomicFile, CloudError};
+use pbgi_file::AtomicFile;
 use std::io::{Seek, SeekFrom, Write};
 use std::path::Path;
 
@@ -47,8 +49,7 @@ impl PlyWriter {
     ) -> Result<Self, CloudError> {
         let columns: Vec<String> = columns.iter().map(|c| c.as_ref().to_owned()).collect();
         check_names(path, &columns)?;
-        let mut writer =
-            Self { file: AtomicFile::create(path)?, columns, double_count, value_count: 0 };
+        let mut writer = Self { file: create_output(path)?, columns, double_count, value_count: 0 };
         writer.write_header()?;
         Ok(writer)
     }
@@ -107,7 +108,7 @@ impl PlyWriter {
             .map_err(|e| CloudError::io(self.file.path(), "write", e))?;
         self.write_header()?;
         let rows = self.row_count();
-        self.file.commit()?;
+        commit_output(self.file)?;
         Ok(rows)
     }
 

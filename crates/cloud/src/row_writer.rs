@@ -1,6 +1,8 @@
 //! Rows of numbers as PLY, NumPy array or CSV.
 
-use crate::{AtomicFile, CloudError, PlyWriter};
+use crate::output::{commit_output, create_output};
+use crate::{CloudError, PlyWriter};
+use pbgi_file::AtomicFile;
 use std::io::{Seek, SeekFrom, Write};
 use std::path::Path;
 
@@ -123,7 +125,7 @@ impl Table {
     ) -> Result<Self, CloudError> {
         let columns: Vec<String> = columns.iter().map(|c| c.as_ref().to_owned()).collect();
         check_names(path, &columns)?;
-        let file = AtomicFile::create(path)?;
+        let file = create_output(path)?;
         Ok(Self { file, columns, double_count, row_count: 0, bytes: Vec::new() })
     }
 
@@ -188,7 +190,7 @@ impl Table {
     }
 
     fn commit(self) -> Result<u64, CloudError> {
-        self.file.commit()?;
+        commit_output(self.file)?;
         Ok(self.row_count)
     }
 }

@@ -1,7 +1,10 @@
 //! Pages: node pages hold groups, surfel pages the surfels of their leaves.
 
 use crate::bits::SLACK_BYTES;
-use crate::{FormatError, LeafView, PageId, SurfelLayout, read_u32};
+use crate::{
+    COORDINATE_MAX, Channels, ChildLink, FormatError, GroupFields, GroupView, LeafView, PageId,
+    SurfelLayout, read_u32,
+};
 use pbgi_math::Aabb;
 
 /// What a page holds.
@@ -116,6 +119,81 @@ impl<'a> NodePage<'a> {
         Ok(Self { bytes, own, links_offset, link_count })
     }
 
+    /// Checks what keeps a walk from going on for ever: that the groups lie without gaps, and that each link within the page leads to a
+    /// later group, and no two links to one. Also that boxes are numbers that can be reckoned with. One pass over the page.
+    ///
+    /// # Errors
+    ///
+    /// Names the first place where it is otherwise.
+    pub fn check_links(&self, channels: Channels) -> Result<(), FormatError> {
+        let end = self.groups_end();
+        let (mut offset, mut count, mut links_used) = (NODE_PAGE_HEADER_BYTES, 0u32, 0u32);
+        // A bit for each place where a group may start, set where a link leads to it.
+        let mut linked = vec![0u64; end.div_ceil(4 * 64)];
+        let mut linked_count = 0u32;
+        while offset < end {
+            let group = GroupView::new(self.bytes, end, offset as u32, channels)?;
+            let bit = |at: usize| (at / 256, 1u64 << (at / 4 % 64));
+            let (word, mask) = bit(offset);
+            if linked[word] & mask != 0 {
+                linked[word] &= !mask;
+                linked_count -= 1;
+            }
+            let fields = group.fields();
+            check_box(&fields)?;
+            let octants = (0..8).filter(|octant| fields.octants & (1 << octant) != 0);
+            for (index, octant) in octants.enumerate() {
+                match group.link(index, fields.leaves & (1 << octant) != 0) {
+                    ChildLink::Leaf { .. } => {}
+                    ChildLink::External(_) => links_used += 1,
+                    ChildLink::Group(next) => {
+                        let at = next as usize;
+                        if at <= offset || at >= end || !at.is_multiple_of(4) {
+                            return Err(FormatError::new("link: offset", next, "a later group"));
+                        }
+                        let (word, mask) = bit(at);
+                        if linked[word] & mask != 0 {
+                            let expected = "a group that is linked once";
+                            return Err(FormatError::new("link: offset", next, expected));
+                        }
+                        linked[word] |= mask;
+                        linked_count += 1;
+                    }
+                }
+            }
+            offset += group.stored_bytes();
+            count += 1;
+        }
+        if linked_count > 0 {
+            return Err(FormatError::new("link: offset", linked_count, "only links to groups"));
+        }
+        if links_used > self.link_count {
+            return Err(FormatError::new("node page: links in use", links_used, self.link_count));
+        }
+        let stated = read_u32(self.bytes, 4);
+        if count != stated {
+            return Err(FormatError::new("node page: groups", stated, count));
+        }
+        self.check_external_links()
+    }
+
+    /// No two external links lead to one group.
+    fn check_external_links(&self) -> Result<(), FormatError> {
+        let place = |index: u32| {
+            let at = self.links_offset as usize + 8 * index as usize;
+            (read_u32(self.bytes, at), read_u32(self.bytes, at + 4))
+        };
+        let mut places: Vec<(u32, u32)> = (0..self.link_count).map(place).collect();
+        places.sort_unstable();
+        match places.windows(2).find(|pair| pair[0] == pair[1]) {
+            Some(pair) => {
+                let expected = "a group that is linked once";
+                Err(FormatError::new("link: offset", pair[0].1, expected))
+            }
+            None => Ok(()),
+        }
+    }
+
     /// The whole page.
     #[must_use]
     #[inline(always)]
@@ -157,6 +235,17 @@ impl<'a> NodePage<'a> {
         let page = self.pages_back(read_u32(self.bytes, at))?;
         Some(ExternalLink { page, offset: read_u32(self.bytes, at + 4) })
     }
+}
+
+/// Refuses boxes that are none, or whose sizes cannot be squared.
+fn check_box(fields: &GroupFields) -> Result<(), FormatError> {
+    let Aabb { min, max } = fields.bounds;
+    let largest = min.abs().max(max.abs()).max_element();
+    if !(largest <= COORDINATE_MAX && fields.cover_margin <= COORDINATE_MAX) {
+        let expected = format_args!("within {COORDINATE_MAX}");
+        return Err(FormatError::new("group: box", "a number out of range", expected));
+    }
+    Ok(())
 }
 
 /// A decoded surfel page.

@@ -3,7 +3,7 @@
 use crate::error::catch_decoder_panic;
 use crate::{Image, ImageError, RgbImage, read_exr};
 use ::image::{DynamicImage, ImageDecoder, codecs::hdr::HdrDecoder};
-use std::fs::File;
+use pbgi_file::open_input;
 use std::io::{BufReader, Read};
 use std::path::Path;
 
@@ -47,14 +47,14 @@ pub fn read_hdr(path: &Path) -> Result<RgbImage, ImageError> {
 }
 
 fn read_magic(path: &Path) -> Result<Vec<u8>, ImageError> {
-    let file = File::open(path).map_err(|e| ImageError::io(path, "open", e))?;
+    let file = open_input(path).map_err(|e| ImageError::io(path, "open", e))?;
     let mut magic = Vec::new();
     file.take(4).read_to_end(&mut magic).map_err(|e| ImageError::io(path, "read", e))?;
     Ok(magic)
 }
 
 fn decode_hdr(path: &Path) -> Result<RgbImage, ImageError> {
-    let file = File::open(path).map_err(|e| ImageError::io(path, "open", e))?;
+    let file = open_input(path).map_err(|e| ImageError::io(path, "open", e))?;
     let file_bytes =
         file.metadata().map_err(|e| ImageError::io(path, "read the size of", e))?.len();
     let damaged = |e: ::image::ImageError| {

@@ -10,8 +10,8 @@ use exr::image::{AnyChannels, FlatSamples, Layer};
 use exr::meta::attribute::{AttributeValue as ExrValue, Text};
 use exr::meta::header::Header;
 use exr::prelude::{ReadChannels, ReadLayers};
+use pbgi_file::open_input;
 use pbgi_math::Mat4;
-use std::fs::File;
 use std::io::{BufReader, Read, Seek};
 use std::path::Path;
 
@@ -40,7 +40,7 @@ pub fn read_exr(path: &Path) -> Result<(Image, Metadata), ImageError> {
 /// Those of [`read_exr`].
 pub fn read_stored_exr(path: &Path) -> Result<(StoredImage, Metadata), ImageError> {
     let io = |action| move |e| ImageError::io(path, action, e);
-    let file = File::open(path).map_err(io("open"))?;
+    let file = open_input(path).map_err(io("open"))?;
     let file_bytes = file.metadata().map_err(io("read the size of"))?.len();
     catch_decoder_panic(path, || {
         let reader = exr::block::read(BufReader::new(file), false).map_err(from_exr(path))?;

@@ -3,9 +3,9 @@
 mod mtl;
 
 use crate::{Instance, Material, Mesh, Scene, SceneError};
+use pbgi_file::open_input;
 use pbgi_math::{Affine3A, Vec2, Vec3};
 use std::collections::{BTreeMap, HashMap};
-use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
@@ -30,7 +30,7 @@ fn read_lines(
     path: &Path,
     mut visit: impl FnMut(u64, &str, &str) -> Result<(), SceneError>,
 ) -> Result<(), SceneError> {
-    let file = File::open(path).map_err(|e| SceneError::io(path, "open", e))?;
+    let file = open_input(path).map_err(|e| SceneError::io(path, "open", e))?;
     let mut reader = BufReader::new(file);
     let (mut line, mut number) = (Vec::new(), 0);
     loop {

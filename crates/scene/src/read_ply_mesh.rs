@@ -4,6 +4,7 @@ use crate::error::from_cloud_error;
 use crate::texture::srgb_to_linear;
 use crate::{Instance, Material, Mesh, Scene, SceneError};
 use pbgi_cloud::{PlyElement, PlyKind, PlyReader, PlyRow, PlyType};
+use pbgi_file::open_input;
 use pbgi_math::{Affine3A, Vec3};
 use std::fs::File;
 use std::io::BufReader;
@@ -14,7 +15,7 @@ use std::path::Path;
 ///
 /// Memory is bounded by what the file really holds, not by what its header promises.
 pub(crate) fn read_ply_mesh(path: &Path) -> Result<Scene, SceneError> {
-    let file = File::open(path).map_err(|e| SceneError::io(path, "open", e))?;
+    let file = open_input(path).map_err(|e| SceneError::io(path, "open", e))?;
     let cloud_error = |e| from_cloud_error(path, e);
     let mut reader = PlyReader::new(BufReader::new(file), path).map_err(cloud_error)?;
     let header = reader.header();

@@ -1,5 +1,6 @@
 //! Where the bytes of an octree file come from: a map of it, or reads.
 
+use pbgi_file::open_input;
 use std::fs::File;
 use std::io;
 use std::os::unix::fs::FileExt;
@@ -45,10 +46,7 @@ pub trait PageSource: Send + Sync {
 
 /// Opens `path` for reading.
 pub(crate) fn open_source(path: &Path, backend: Backend) -> io::Result<Box<dyn PageSource>> {
-    let file = File::open(path)?;
-    if file.metadata()?.is_dir() {
-        return Err(io::Error::other("it is a folder, not an octree file"));
-    }
+    let file = open_input(path)?;
     Ok(match backend {
         Backend::Read => Box::new(file),
         Backend::Map => Box::new(map::MappedFile::new(file)?),

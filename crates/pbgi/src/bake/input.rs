@@ -6,13 +6,13 @@ use pbgi_cloud::{
     CloudError, CloudOptions, ConcatSource, LAS_MAGIC, LazyCloud, PlyHeader, SliceSource, Surfel,
     SurfelSource, open_cloud, raw::RAW_MAGIC,
 };
+use pbgi_file::open_input;
 use pbgi_scene::{
     DiceError, DiceOptions, DicedScene, ProceduralSpec, Scene, Spacing, TwoSided, procedural_scene,
     read_scene,
 };
-use std::fs::File;
 use std::io::{BufReader, Read};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Surfels meshes are diced into where nothing else is asked for.
 pub const DEFAULT_SURFELS: u64 = 1_000_000;
@@ -69,7 +69,7 @@ impl InputKind {
         if ["glb", "gltf", "obj"].iter().any(|e| extension.eq_ignore_ascii_case(e)) {
             return Ok(Self::Mesh);
         }
-        let file = File::open(path).map_err(|e| CloudError::io(path, "open", e))?;
+        let file = open_input(path).map_err(|e| CloudError::io(path, "open", e))?;
         let mut start = Vec::new();
         file.take(RAW_MAGIC.len() as u64)
             .read_to_end(&mut start)
@@ -95,7 +95,7 @@ impl InputKind {
     }
 
     fn of_ply(path: &Path) -> Result<Self, PbgiError> {
-        let file = File::open(path).map_err(|e| CloudError::io(path, "open", e))?;
+        let file = open_input(path).map_err(|e| CloudError::io(path, "open", e))?;
         let header = PlyHeader::read(&mut BufReader::new(file), path)?;
         if header.element("face").is_some_and(|faces| faces.count > 0) {
             return Ok(Self::Mesh);
@@ -152,7 +152,7 @@ pub enum OctreeUse {
 /// One input, opened.
 enum Content {
     Scene {
-        scene: Scene,
+        scene: Box<Scene>,
         /// Surfels the name itself asks for.
         surfels: Option<u64>,
         /// Its lights, once it is read.
@@ -228,16 +228,25 @@ impl Inputs {
                 Content::Cloud(Some(Box::new(octree)))
             } else if kind.is_mesh() {
                 let spec = ProceduralSpec::parse(name).ok();
-                let scene = load_scene(name)?;
+                let scene = Box::new(load_scene(name)?);
                 inputs.warnings.extend(scene.warnings.iter().map(|w| format!("{name}: {w}")));
                 let surfels = spec.and_then(|spec| spec.surfels);
                 Content::Scene { scene, surfels, lights: Vec::new() }
             } else {
-                Content::Cloud(Some(open_for_later(Path::new(name), options)?))
+                Content::Cloud(Some(open_cloud_of(name, options)?))
             };
             inputs.contents.push(content);
         }
         Ok(inputs)
+    }
+
+    /// Files that inputs refer to.
+    pub fn files(&self) -> Vec<PathBuf> {
+        let of = |content: &Content| match content {
+            Content::Scene { scene, .. } => scene.files.clone(),
+            Content::Cloud(_) => Vec::new(),
+        };
+        self.contents.iter().flat_map(of).collect()
     }
 
     /// Whether any input is a point cloud.
@@ -323,14 +332,11 @@ impl Inputs {
     }
 }
 
-/// A cloud to be read when its turn comes. What cannot be opened twice, such as a pipe, stays open.
-fn open_for_later(
-    path: &Path,
-    options: &CloudOptions,
-) -> Result<Box<dyn SurfelSource>, CloudError> {
-    match path.is_file() {
-        true => Ok(Box::new(LazyCloud::open(path, options)?)),
-        false => open_cloud(path, options),
+/// A cloud to be read when its turn comes; standard input stays open.
+fn open_cloud_of(name: &str, options: &CloudOptions) -> Result<Box<dyn SurfelSource>, CloudError> {
+    match name {
+        "-" => open_cloud(Path::new(name), options),
+        _ => Ok(Box::new(LazyCloud::open(Path::new(name), options)?)),
     }
 }
 

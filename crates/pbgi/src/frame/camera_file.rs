@@ -1,11 +1,15 @@
 //! Cameras in files: JSON, and the matrices of EXR images.
 
 use crate::PbgiError;
+use pbgi_file::read_input;
 use pbgi_image::{AttributeValue, Metadata, read_stored_exr};
 use pbgi_math::{Affine3A, DMat3, DMat4, DVec3, DVec4, Mat4};
 use pbgi_scene::Camera;
 use serde::Deserialize;
 use std::path::Path;
+
+/// Longest JSON file of a camera in bytes.
+const JSON_BYTES_MAX: u64 = 1 << 20;
 
 /// A camera in world coordinates.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,10 +36,10 @@ impl FileCamera {
                 input("no camera: expected an attribute `worldToNDC` or `worldToCamera`".into())
             });
         }
-        let text = std::fs::read_to_string(path)
+        let text = read_input(path, JSON_BYTES_MAX)
             .map_err(|e| PbgiError::input(format!("{}: read failed: {e}", path.display())))?;
         let json: JsonCamera =
-            serde_json::from_str(&text).map_err(|e| input(format!("not a camera: {e}")))?;
+            serde_json::from_slice(&text).map_err(|e| input(format!("not a camera: {e}")))?;
         json.camera().map_err(input)
     }
 

@@ -9,17 +9,19 @@ pub(crate) mod scatter;
 pub(crate) mod table_receivers;
 
 use crate::budget::split::MemorySplit;
-use crate::cli::output_path::folder_of;
+use crate::outputs::{Output, OutputKind, RunFiles};
 use crate::points::results::ResultWriter;
 use crate::points::rows::PointRows;
 use crate::points::scan::{ScanReader, is_scan, is_scan_name};
 use crate::points::table_receivers::{RowRules, TableReceivers, no_eye};
 use crate::shade::target::spread;
 use crate::shade::{
-    Session, ShadeReport, ShadeSettings, chunk_size, gloss_toward, read_header, up_axis,
+    LightSource, Session, ShadeReport, ShadeSettings, chunk_size, gloss_toward, read_header,
+    up_axis,
 };
 use crate::{PbgiError, Progress};
 use pbgi_cloud::ReceiverTable;
+use pbgi_file::folder_of;
 use pbgi_format::LeafSurfel;
 use pbgi_gather::{Material, Receiver};
 use pbgi_math::{DVec3, Vec3};
@@ -55,6 +57,24 @@ pub struct PointsRequest<'a> {
     pub settings: ShadeSettings,
 }
 
+impl PointsRequest<'_> {
+    /// Refuses a target that is an input, or a file of another kind.
+    fn check_files(&self) -> Result<(), PbgiError> {
+        let mut files = RunFiles::default();
+        files.add_input(self.octree)?;
+        if let PointSource::File(path) = &self.source {
+            files.add_input(path)?;
+        }
+        if let Some(LightSource::File(path)) =
+            self.settings.environment.as_ref().map(|spec| &spec.source)
+        {
+            files.add_input(path)?;
+        }
+        let (path, kind) = (self.target, OutputKind::Points);
+        files.add_output(&Output { option: "-o", path, kind, replace: true })
+    }
+}
+
 /// Bytes of a surfel beside its receiver until it is written: radius, area, albedo.
 const SURFEL_BYTES: usize = size_of::<[f32; 5]>();
 /// Bytes of a row beside its receiver: position, normal, and each column.
@@ -81,6 +101,7 @@ pub fn shade_points(
     let start = Instant::now();
     let settings = &request.settings;
     settings.validate()?;
+    request.check_files()?;
     let header = read_header(request.octree)?;
     let environment =
         settings.environment.as_ref().map(|e| e.load(header.flags.z_up)).transpose()?;

@@ -263,11 +263,9 @@ pub(crate) fn up_axis(header: &Header) -> Vec3 {
     if header.flags.z_up { Vec3::Z } else { Vec3::Y }
 }
 
-/// Opens a file as far as its header and page table and returns the header.
+/// Reads the header of a file.
 pub(crate) fn read_header(path: &Path) -> Result<Header, PbgiError> {
-    // Nothing is read into the cache, so its size is of no consequence.
-    let options = OpenOptions { cache_bytes: 1 << 40, ..OpenOptions::default() };
-    Ok(*Octree::open(path, &options)?.header())
+    Ok(Octree::read_header(path)?)
 }
 
 /// An open octree under its light, and counts of what has been shaded.
