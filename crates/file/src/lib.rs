@@ -2,10 +2,11 @@
 //!
 //! An output appears whole or not at all ([`AtomicFile`]); what a killed run has left beside it, the next one removes; one run at a time
 //! claims an output ([`Claim`]). Inputs are regular files ([`open_input`]), told apart by what they are and not by their names
-//! ([`FileId`]). Files that outlive a run for the next one have names that nobody can foretell ([`KeptFiles`]). This crate must never know
+//! ([`FileId`]), and what they hold is counted against an [`Allowance`] of memory. Files that outlive a run for the next one have names that nobody can foretell ([`KeptFiles`]). This crate must never know
 //! what is in a file.
 #![forbid(unsafe_code)]
 
+mod allowance;
 mod atomic;
 mod claim;
 mod id;
@@ -13,6 +14,7 @@ mod input;
 mod kept;
 mod temporary;
 
+pub use allowance::{Allowance, Excess};
 pub use atomic::{AtomicFile, StepError};
 pub use claim::{Claim, ClaimError};
 pub use id::{FileId, FileState};

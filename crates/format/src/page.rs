@@ -127,7 +127,8 @@ impl<'a> NodePage<'a> {
     /// Names the first place where it is otherwise.
     pub fn check_links(&self, channels: Channels) -> Result<(), FormatError> {
         let end = self.groups_end();
-        let (mut offset, mut count, mut links_used) = (NODE_PAGE_HEADER_BYTES, 0u32, 0u32);
+        let (mut offset, mut count) = (NODE_PAGE_HEADER_BYTES, 0u32);
+        let mut links_used = vec![false; self.link_count as usize];
         // A bit for each place where a group may start, set where a link leads to it.
         let mut linked = vec![0u64; end.div_ceil(4 * 64)];
         let mut linked_count = 0u32;
@@ -145,7 +146,13 @@ impl<'a> NodePage<'a> {
             for (index, octant) in octants.enumerate() {
                 match group.link(index, fields.leaves & (1 << octant) != 0) {
                     ChildLink::Leaf { .. } => {}
-                    ChildLink::External(_) => links_used += 1,
+                    ChildLink::External(link) => match links_used.get_mut(link as usize) {
+                        Some(used) if !*used => *used = true,
+                        _ => {
+                            let expected = "an external link that is used once";
+                            return Err(FormatError::new("link: index", link, expected));
+                        }
+                    },
                     ChildLink::Group(next) => {
                         let at = next as usize;
                         if at <= offset || at >= end || !at.is_multiple_of(4) {
@@ -166,9 +173,6 @@ impl<'a> NodePage<'a> {
         }
         if linked_count > 0 {
             return Err(FormatError::new("link: offset", linked_count, "only links to groups"));
-        }
-        if links_used > self.link_count {
-            return Err(FormatError::new("node page: links in use", links_used, self.link_count));
         }
         let stated = read_u32(self.bytes, 4);
         if count != stated {
@@ -299,6 +303,8 @@ impl<'a> SurfelPage<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{ChildBox, Lobe, MiniFloat};
+    use pbgi_math::Vec3;
 
     #[test]
     fn node_pages_round_trip_and_refuse_bad_links() {
@@ -320,6 +326,57 @@ mod tests {
         assert_eq!(NodePage::new(&page, PageId(2)).unwrap().external_link(0), None);
         let moved = NodePage::new(&page, PageId(9)).unwrap();
         assert_eq!(moved.fields().surfel_page, Some(PageId(0)));
+    }
+
+    /// A page of groups whose two children are as given, offsets counted in groups.
+    fn page_of(groups: &[[ChildLink; 2]], links: &[ExternalLink]) -> Vec<u8> {
+        let size = crate::group_bytes(2, 2, Channels::Occlusion) as u32;
+        let bounds = Aabb { min: Vec3::ZERO, max: Vec3::ONE };
+        let mut page = vec![0; NODE_PAGE_HEADER_BYTES];
+        for children in groups {
+            let is_leaf = |link: &ChildLink| u8::from(matches!(link, ChildLink::Leaf { .. }));
+            let leaves = is_leaf(&children[0]) | is_leaf(&children[1]) << 1;
+            let (split, cover_margin) = (Vec3::splat(0.5), 0.0);
+            let fields = GroupFields { bounds, split, cover_margin, octants: 3, leaves };
+            let place = |link: ChildLink| match link {
+                ChildLink::Group(n) => ChildLink::Group(NODE_PAGE_HEADER_BYTES as u32 + n * size),
+                link => link,
+            };
+            let lobe = [Lobe::default()];
+            let child_box = ChildBox { min: [0; 3], max: [255; 3] };
+            let children = children.map(|link| (place(link), child_box, &lobe[..]));
+            let codecs = (Channels::Occlusion, MiniFloat { exponent_max: 0 }, 1.0);
+            crate::write_group(&fields, &children, codecs, &mut page);
+        }
+        let group_count = groups.len() as u32;
+        let fields = NodePageFields { group_count, surfel_page: Some(PageId(0)) };
+        finish_node_page(&mut page, PageId(9), fields, links);
+        page
+    }
+
+    #[test]
+    fn links_that_form_no_tree_are_refused() {
+        use ChildLink::{External, Group};
+        let leaf = ChildLink::Leaf { offset: 16, count: 1 };
+        let check = |groups: &[[ChildLink; 2]], links: &[ExternalLink]| {
+            let page = page_of(groups, links);
+            NodePage::new(&page, PageId(9)).unwrap().check_links(Channels::Occlusion)
+        };
+        let far = |page| ExternalLink { page: PageId(page), offset: 32 };
+        check(&[[Group(1), Group(2)], [leaf, leaf], [leaf, External(0)]], &[far(3)]).unwrap();
+        check(&[[leaf, External(1)], [leaf, External(0)]], &[far(3), far(4)]).unwrap();
+        for (bad, links) in [
+            (vec![[Group(1), Group(1)], [leaf, leaf]], vec![]),
+            (vec![[Group(1), Group(2)], [Group(2), leaf], [leaf, leaf]], vec![]),
+            (vec![[Group(1), leaf], [Group(0), leaf]], vec![]),
+            (vec![[Group(0), leaf]], vec![]),
+            (vec![[Group(1), leaf]], vec![]),
+            (vec![[External(0), External(0)]], vec![far(3), far(4)]),
+            (vec![[External(1), leaf]], vec![far(3)]),
+            (vec![[External(0), External(1)]], vec![far(3), far(3)]),
+        ] {
+            assert!(check(&bad, &links).is_err(), "{bad:?} {links:?}");
+        }
     }
 
     #[test]

@@ -1,15 +1,19 @@
 //! Reading of environments: EXR or Radiance HDR, checked pixel by pixel.
 
 use crate::error::catch_decoder_panic;
-use crate::{Image, ImageError, RgbImage, read_exr};
+use crate::exr_read::read_exr_within;
+use crate::{Image, ImageError, RgbImage};
 use ::image::{DynamicImage, ImageDecoder, codecs::hdr::HdrDecoder};
-use pbgi_file::open_input;
+use pbgi_file::{Allowance, open_input};
 use std::io::{BufReader, Read};
 use std::path::Path;
 
 /// Most pixels one byte of an HDR file can stand for. Run lengths code 127 samples in 2 bytes, so
 /// 4 channels make 16 pixels a byte; the older scheme reaches 64 (255 pixels in 4 bytes).
 const HDR_PIXELS_PER_BYTE_MAX: u64 = 64;
+
+/// Bytes of a color.
+const COLOR_BYTES: u64 = size_of::<[f32; 3]>() as u64;
 
 /// Reads an environment, an EXR or Radiance HDR file, told apart by its first bytes.
 ///
@@ -22,9 +26,21 @@ const HDR_PIXELS_PER_BYTE_MAX: u64 = 64;
 /// files without color; [`ImageError::BadPixel`] for the first pixel that is negative, infinite or
 /// not a number.
 pub fn read_environment(path: &Path) -> Result<RgbImage, ImageError> {
+    read_environment_within(path, &Allowance::unlimited())
+}
+
+/// As [`read_environment`], within an allowance of memory, with which the size in the header is compared before a pixel is read.
+///
+/// # Errors
+///
+/// Those of [`read_environment`]; an [`Excess`](pbgi_file::Excess) as cause where the allowance does not do.
+pub fn read_environment_within(path: &Path, allowance: &Allowance) -> Result<RgbImage, ImageError> {
     let image = match read_magic(path)?.as_slice() {
-        [0x76, 0x2f, 0x31, 0x01] => to_rgb(path, &read_exr(path)?.0)?,
-        [b'#', b'?', ..] => decode_hdr(path)?,
+        [0x76, 0x2f, 0x31, 0x01] => {
+            // The picture as colors takes no more than the samples, which are gone by then.
+            to_rgb(path, &read_exr_within(path, allowance, COLOR_BYTES)?.0)?
+        }
+        [b'#', b'?', ..] => decode_hdr(path, allowance)?,
         [] => return Err(ImageError::malformed(path, "the file is empty")),
         _ => {
             return Err(ImageError::unsupported(
@@ -43,7 +59,7 @@ pub fn read_environment(path: &Path) -> Result<RgbImage, ImageError> {
 ///
 /// [`ImageError::Malformed`] for anything damaged; [`ImageError::BadPixel`].
 pub fn read_hdr(path: &Path) -> Result<RgbImage, ImageError> {
-    check_pixels(path, decode_hdr(path)?)
+    check_pixels(path, decode_hdr(path, &Allowance::unlimited())?)
 }
 
 fn read_magic(path: &Path) -> Result<Vec<u8>, ImageError> {
@@ -53,7 +69,7 @@ fn read_magic(path: &Path) -> Result<Vec<u8>, ImageError> {
     Ok(magic)
 }
 
-fn decode_hdr(path: &Path) -> Result<RgbImage, ImageError> {
+fn decode_hdr(path: &Path, allowance: &Allowance) -> Result<RgbImage, ImageError> {
     let file = open_input(path).map_err(|e| ImageError::io(path, "open", e))?;
     let file_bytes =
         file.metadata().map_err(|e| ImageError::io(path, "read the size of", e))?.len();
@@ -72,6 +88,8 @@ fn decode_hdr(path: &Path) -> Result<RgbImage, ImageError> {
             );
             return Err(ImageError::malformed(path, message));
         }
+        let needed = pixel_count.saturating_mul(2 * COLOR_BYTES);
+        allowance.check(needed).map_err(|e| ImageError::io(path, "read", e))?;
         let samples =
             DynamicImage::from_decoder(decoder).map_err(damaged)?.into_rgb32f().into_raw();
         let pixels = samples.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();

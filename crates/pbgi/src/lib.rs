@@ -18,7 +18,7 @@ mod points;
 mod shade;
 
 pub use bake::bake;
-pub use bake::input::{DEFAULT_SURFELS, InputKind, Sampling, load_scene};
+pub use bake::input::{DEFAULT_SURFELS, InputKind, Sampling, load_scene, load_scene_within};
 pub use bake::relight::{BOUNCES_MAX, LightRequest};
 pub use bake::report::{BakeReport, BytesPerSurfel, PhaseReport};
 pub use bake::request::{BakeRequest, NormalsChoice};

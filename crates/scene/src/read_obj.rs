@@ -2,6 +2,7 @@
 
 mod mtl;
 
+use crate::resources::Resources;
 use crate::{Instance, Material, Mesh, Scene, SceneError};
 use pbgi_file::open_input;
 use pbgi_math::{Affine3A, Vec2, Vec3};
@@ -12,15 +13,32 @@ use std::path::Path;
 /// Longest line in bytes.
 const LINE_BYTES_MAX: u64 = 1 << 20;
 
+/// Lines after which it is seen how much memory is held.
+const LINES_BETWEEN_CHECKS: u64 = 4096;
+
+/// Bytes of a place, a color or a normal, and of a corner: while it is read, its number is looked up in a table half full, and then it
+/// becomes a vertex.
+const VERTEX_BYTES: usize = size_of::<Vec3>();
+const CORNER_BYTES: usize = 3 * size_of::<Corner>() + 4 * VERTEX_BYTES;
+
 /// Reads an OBJ file: one mesh and one instance per material. Polygons become fans of triangles;
 /// lines, points, curves and smoothing groups are left out. Vertex colors after the position are
 /// taken as linear. A missing MTL file or material is a warning.
-pub(crate) fn read_obj(path: &Path) -> Result<Scene, SceneError> {
+pub(crate) fn read_obj(path: &Path, resources: &Resources) -> Result<Scene, SceneError> {
     let mut obj = Obj::default();
     read_lines(path, |number, keyword, rest| {
-        obj.read_line(path, keyword, rest)
-            .map_err(|message| SceneError::malformed(path, format!("line {number}: {message}")))
+        let read = obj.read_line(path, keyword, rest, resources);
+        read.map_err(|message| SceneError::malformed(path, format!("line {number}: {message}")))?;
+        if let Some(error) = obj.library.failed.take() {
+            return Err(error);
+        }
+        if number.is_multiple_of(LINES_BETWEEN_CHECKS) {
+            obj.take_memory(path, resources)
+        } else {
+            Ok(())
+        }
     })?;
+    obj.take_memory(path, resources)?;
     Ok(obj.into_scene())
 }
 
@@ -89,10 +107,32 @@ struct Obj {
     parts: Vec<(Option<String>, Part)>,
     material: Option<String>,
     ignored: BTreeMap<&'static str, u64>,
+    /// Bytes taken of the scene's memory.
+    taken_bytes: u64,
 }
 
 impl Obj {
-    fn read_line(&mut self, path: &Path, keyword: &str, rest: &str) -> Result<(), String> {
+    /// Takes what has come to be held since it was last called.
+    fn take_memory(&mut self, path: &Path, resources: &Resources) -> Result<(), SceneError> {
+        let corners: usize = self.parts.iter().map(|(_, part)| part.corners.len()).sum();
+        let triangles: usize = self.parts.iter().map(|(_, part)| part.triangles.len()).sum();
+        let places = self.positions.len() + self.colors.len() + self.normals.len();
+        let held = (places * VERTEX_BYTES
+            + self.uvs.len() * size_of::<Vec2>()
+            + corners * CORNER_BYTES
+            + triangles * 2 * size_of::<[u32; 3]>()) as u64;
+        let more = held - self.taken_bytes;
+        self.taken_bytes = held;
+        resources.take(path, more)
+    }
+
+    fn read_line(
+        &mut self,
+        path: &Path,
+        keyword: &str,
+        rest: &str,
+        resources: &Resources,
+    ) -> Result<(), String> {
         match keyword {
             "v" => self.read_position(rest)?,
             "vt" => {
@@ -103,7 +143,7 @@ impl Obj {
             "vn" => self.normals.push(Vec3::from_array(read_floats(rest, [f32::NAN; 3])?)),
             "f" | "fo" => self.read_face(rest)?,
             "usemtl" => self.material = Some(rest.to_owned()),
-            "mtllib" => self.library.read(path, rest),
+            "mtllib" => self.library.read(path, rest, resources),
             "l" => *self.ignored.entry("lines").or_default() += 1,
             "p" => *self.ignored.entry("points").or_default() += 1,
             "curv" | "curv2" | "surf" => {
@@ -268,7 +308,7 @@ mod tests {
         std::fs::write(folder.path().join("a b.mtl"), mtl).unwrap();
         let path = folder.path().join("mesh.obj");
         std::fs::write(&path, obj).unwrap();
-        read_obj(&path)
+        read_obj(&path, &Resources::new(&pbgi_file::Allowance::unlimited()))
     }
 
     const SQUARE: &str = "mtllib a b.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 1\n\

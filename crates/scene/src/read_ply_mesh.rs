@@ -1,6 +1,7 @@
 //! PLY meshes: ASCII and binary, any property order and types, polygons as fans of triangles.
 
 use crate::error::from_cloud_error;
+use crate::resources::Resources;
 use crate::texture::srgb_to_linear;
 use crate::{Instance, Material, Mesh, Scene, SceneError};
 use pbgi_cloud::{PlyElement, PlyKind, PlyReader, PlyRow, PlyType};
@@ -14,8 +15,11 @@ use std::path::Path;
 /// colors (`red green blue`: 8 bits as sRGB, 16 bits and floats as linear) are used where present.
 ///
 /// Memory is bounded by what the file really holds, not by what its header promises.
-pub(crate) fn read_ply_mesh(path: &Path) -> Result<Scene, SceneError> {
+pub(crate) fn read_ply_mesh(path: &Path, resources: &Resources) -> Result<Scene, SceneError> {
     let file = open_input(path).map_err(|e| SceneError::io(path, "open", e))?;
+    // A face of three indices in its list makes a triangle as large; vertices take no more than in the file.
+    let length = file.metadata().map_err(|e| SceneError::io(path, "read", e))?.len();
+    resources.take(path, length.saturating_mul(2))?;
     let cloud_error = |e| from_cloud_error(path, e);
     let mut reader = PlyReader::new(BufReader::new(file), path).map_err(cloud_error)?;
     let header = reader.header();
@@ -168,7 +172,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("mesh.ply");
         std::fs::write(&path, bytes).unwrap();
-        read_ply_mesh(&path)
+        read_ply_mesh(&path, &Resources::new(&pbgi_file::Allowance::unlimited()))
     }
 
     const HEADER: &str = "element vertex 4\nproperty double y\nproperty float x\nproperty uchar red\n\

@@ -11,7 +11,7 @@ use pbgi::cli::{self, format_table};
 use pbgi::{
     FRAME_AOVS, Frame, FrameRequest, GBUFFER_AOVS, GBufferRequest, GBufferSpace, Output,
     OutputKind, PbgiError, PointSource, PointsRequest, Progress, RunFiles, Scene, ShadeReport,
-    ShadeSettings, check_writable, load_scene, shade_frame, shade_gbuffer, shade_points,
+    ShadeSettings, check_writable, load_scene_within, shade_frame, shade_gbuffer, shade_points,
 };
 use std::path::Path;
 use std::process::ExitCode;
@@ -91,12 +91,17 @@ struct SceneCache(Option<(String, Scene)>);
 
 impl SceneCache {
     /// The scene called `name`; its warnings are given when it is read.
-    fn load(&mut self, name: &str, progress: &Progress) -> Result<&Scene, PbgiError> {
+    fn load(
+        &mut self,
+        name: &str,
+        memory_limit: u64,
+        progress: &Progress,
+    ) -> Result<&Scene, PbgiError> {
         let known = self.0.take().filter(|(known, _)| known == name);
         let entry = match known {
             Some(entry) => entry,
             None => {
-                let scene = load_scene(name)?;
+                let scene = load_scene_within(name, memory_limit)?;
                 scene.warnings.iter().for_each(|warning| progress.warn(warning));
                 (name.to_owned(), scene)
             }
@@ -125,7 +130,7 @@ fn shade_one(
             Some(path) => gbuffer(args, path, settings, &progress, cancel),
             None => {
                 if let Some(name) = &args.view.scene {
-                    let scene = scenes.load(name, &progress)?;
+                    let scene = scenes.load(name, args.common.memory_limit, &progress)?;
                     scene.files.iter().try_for_each(|file| files.add_input(file))?;
                 }
                 picture(args, scenes, settings, &progress, cancel)
@@ -174,7 +179,9 @@ fn picture(
     cancel: &AtomicBool,
 ) -> Result<ShadeReport, PbgiError> {
     let aovs = args.output_options.parse_aovs(&FRAME_AOVS, settings.gloss.is_some())?;
-    let scene = args.view.scene.as_deref().map(|name| scenes.load(name, progress)).transpose()?;
+    let limit = args.common.memory_limit;
+    let scene =
+        args.view.scene.as_deref().map(|name| scenes.load(name, limit, progress)).transpose()?;
     let request = FrameRequest {
         octree: &args.octree,
         scene,

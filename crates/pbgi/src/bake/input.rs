@@ -2,6 +2,7 @@
 
 use crate::PbgiError;
 use crate::bake::octree_source::{OCTREE_CACHE_BYTES, OctreeSource};
+use crate::budget::reading::read_within;
 use pbgi_cloud::{
     CloudError, CloudOptions, ConcatSource, LAS_MAGIC, LazyCloud, PlyHeader, SliceSource, Surfel,
     SurfelSource, open_cloud, raw::RAW_MAGIC,
@@ -9,7 +10,7 @@ use pbgi_cloud::{
 use pbgi_file::open_input;
 use pbgi_scene::{
     DiceError, DiceOptions, DicedScene, ProceduralSpec, Scene, Spacing, TwoSided, procedural_scene,
-    read_scene,
+    read_scene_within,
 };
 use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -131,11 +132,19 @@ impl InputKind {
 ///
 /// If it cannot be read, or has no triangles.
 pub fn load_scene(name: &str) -> Result<Scene, PbgiError> {
+    load_scene_within(name, u64::MAX)
+}
+
+/// As [`load_scene`], where the process may hold so many bytes: what files state that they hold is counted before it is read.
+///
+/// # Errors
+///
+/// As [`load_scene`]; [`PbgiError::Budget`] with the limit that would do.
+pub fn load_scene_within(name: &str, memory_limit: u64) -> Result<Scene, PbgiError> {
     if ProceduralSpec::matches(name) {
-        Ok(procedural_scene(name)?.scene)
-    } else {
-        Ok(read_scene(Path::new(name))?)
+        return Ok(procedural_scene(name)?.scene);
     }
+    read_within(memory_limit, |allowance| read_scene_within(Path::new(name), allowance))
 }
 
 /// What becomes of the light that octree files store.
@@ -199,6 +208,7 @@ impl Inputs {
         names: &[String],
         options: &CloudOptions,
         octrees: OctreeUse,
+        memory_limit: u64,
     ) -> Result<Self, PbgiError> {
         if names.is_empty() {
             return Err(PbgiError::usage("no input; name meshes, point clouds or demo:street"));
@@ -228,7 +238,7 @@ impl Inputs {
                 Content::Cloud(Some(Box::new(octree)))
             } else if kind.is_mesh() {
                 let spec = ProceduralSpec::parse(name).ok();
-                let scene = Box::new(load_scene(name)?);
+                let scene = Box::new(load_scene_within(name, memory_limit)?);
                 inputs.warnings.extend(scene.warnings.iter().map(|w| format!("{name}: {w}")));
                 let surfels = spec.and_then(|spec| spec.surfels);
                 Content::Scene { scene, surfels, lights: Vec::new() }
@@ -420,7 +430,8 @@ mod tests {
             write(folder.path(), name, &text)
         };
         let names = [square("a.obj", 1.0), square("b.obj", 3.0), "demo:room?surfels=5k".to_owned()];
-        let mut inputs = Inputs::open(&names, &CloudOptions::default(), OctreeUse::Keep).unwrap();
+        let mut inputs =
+            Inputs::open(&names, &CloudOptions::default(), OctreeUse::Keep, 1 << 30).unwrap();
         let spacings = inputs.choose_spacings(Sampling::Surfels(10_000), TwoSided::None).unwrap();
         assert_eq!(spacings, [1000, 9000, 5000].map(Spacing::Count));
         let sampling = Sampling::Surfels(10_000);

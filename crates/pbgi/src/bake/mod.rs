@@ -24,8 +24,9 @@ use pbgi_build::{
 };
 use pbgi_cloud::SurfelSource;
 use pbgi_file::{Claim, ClaimError, KeptFiles, folder_of};
+use pbgi_format::COORDINATE_MAX;
 use pbgi_light::UpAxis;
-use pbgi_math::Vec3;
+use pbgi_math::{Aabb, Vec3};
 use pbgi_sort::{
     BUDGET_BYTES_MIN, Checkpoint, EstimateOptions, SortOptions, SortPhase, SortProgress,
     SortedSurfels, SurfelSummary, estimate_surfels, pieces_in_flight, sort_surfels,
@@ -68,10 +69,11 @@ pub fn bake(
         (true, false) => OctreeUse::Light,
         (true, true) => OctreeUse::LightUnlit,
     };
-    let mut inputs = pool.install(|| Inputs::open(&request.inputs, &request.cloud, octrees))?;
+    let mut inputs = pool
+        .install(|| Inputs::open(&request.inputs, &request.cloud, octrees, request.memory_limit))?;
     check_canceled(cancel)?;
     let z_up = request.up.map_or(inputs.any_z_up, |up| up == UpAxis::Z);
-    let light = pool.install(|| Light::load(&request.light, z_up))?;
+    let light = pool.install(|| Light::load(&request.light, z_up, request.memory_limit))?;
     // Sort, estimate where there may be something to estimate, build, light.
     progress.set_phase_count(2 + u32::from(inputs.any_cloud()) + light.pass_count());
     let report = BakeReport {
@@ -193,6 +195,7 @@ impl<'a> Baker<'a> {
                 "{names}: no surfels; an octree needs at least one"
             )));
         }
+        check_scale(sorted.summary())?;
         self.report.sorted_runs = sorted.run_count() as u64;
         self.end_phase("sort", start, count);
         Ok(sorted)
@@ -496,6 +499,23 @@ impl<'a> Baker<'a> {
             ..self.report
         }
     }
+}
+
+/// Least size of a cloud, 2⁻²³ scene units, with which results are those of the same cloud at any other scale.
+const SCALE_MIN: f32 = 1.0 / (1 << 23) as f32;
+
+/// Refuses clouds so large or so small that sums and products of their sizes are no numbers any more.
+fn check_scale(summary: &SurfelSummary) -> Result<(), PbgiError> {
+    let Aabb { min, max } = summary.bounds;
+    let farthest = min.abs().max(max.abs()).max_element() + summary.radius_max;
+    let size = summary.root.edge.max(summary.radius_max);
+    if farthest <= COORDINATE_MAX && size >= SCALE_MIN {
+        return Ok(());
+    }
+    Err(PbgiError::input(format!(
+        "the surfels reach to {farthest} units from the origin of the file and lie in a cube of {size} units; results are right up to \
+         {COORDINATE_MAX} units, and from {SCALE_MIN} units on: scale the scene"
+    )))
 }
 
 /// What a pass of light gathers from.

@@ -2,7 +2,7 @@
 
 use crate::PbgiError;
 use pbgi_file::read_input;
-use pbgi_image::{AttributeValue, Metadata, read_stored_exr};
+use pbgi_image::{AttributeValue, Metadata, read_exr_metadata};
 use pbgi_math::{Affine3A, DMat3, DMat4, DVec3, DVec4, Mat4};
 use pbgi_scene::Camera;
 use serde::Deserialize;
@@ -30,7 +30,7 @@ impl FileCamera {
     pub fn read(path: &Path) -> Result<Self, PbgiError> {
         let input = |message: String| PbgiError::input(format!("{}: {message}", path.display()));
         if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("exr")) {
-            let (_, metadata) = read_stored_exr(path)?;
+            let metadata = read_exr_metadata(path)?;
             let camera = Self::from_metadata(&metadata).map_err(input)?;
             return camera.ok_or_else(|| {
                 input("no camera: expected an attribute `worldToNDC` or `worldToCamera`".into())

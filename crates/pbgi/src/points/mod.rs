@@ -103,8 +103,7 @@ pub fn shade_points(
     settings.validate()?;
     request.check_files()?;
     let header = read_header(request.octree)?;
-    let environment =
-        settings.environment.as_ref().map(|e| e.load(header.flags.z_up)).transpose()?;
+    let environment = settings.load_environment(&header)?;
     let mut rows = open_rows(request, up_axis(&header), progress, cancel)?;
     let origin = rows.as_ref().map_or(header.origin, PointRows::origin);
     if rows.is_none() && settings.gloss.is_some() && request.eye.is_none() {

@@ -6,6 +6,7 @@ pub(crate) mod statistics;
 pub(crate) mod target;
 
 use crate::PbgiError;
+use crate::budget::reading::read_within;
 use crate::budget::split::MemorySplit;
 use crate::cli::progress::{Progress, format_bytes, format_count, format_seconds};
 use crate::shade::check::{AloneReport, CheckReport, CheckSample};
@@ -15,7 +16,7 @@ use pbgi_format::{Channels, Header};
 use pbgi_gather::{
     GatherParts, GatherSettings, Gloss, ImportanceTerms, Material, PreparedLight, Receiver, Shading,
 };
-use pbgi_image::read_environment;
+use pbgi_image::read_environment_within;
 use pbgi_light::{Environment, EnvironmentOptions, UpAxis};
 use pbgi_math::Vec3;
 use pbgi_schedule::{
@@ -86,13 +87,13 @@ impl EnvironmentSpec {
         Self { source: LightSource::File(path.into()), rotate_degrees: 0.0, scale: 1.0 }
     }
 
-    /// Reads and prepares the environment. `z_up` is the octree header's flag.
+    /// Reads and prepares the environment. `z_up` is the octree header's flag; an image that `memory_limit` does not hold is refused.
     ///
     /// # Errors
     ///
     /// If the image cannot be read, is not equirectangular, or has a negative or non-finite pixel; if a
     /// uniform color, the rotation or the scale is out of range.
-    pub fn load(&self, z_up: bool) -> Result<Environment, PbgiError> {
+    pub fn load(&self, z_up: bool, memory_limit: u64) -> Result<Environment, PbgiError> {
         match &self.source {
             LightSource::Uniform(rgb) => {
                 let radiance = rgb.map(|c| c * self.scale);
@@ -105,7 +106,9 @@ impl EnvironmentSpec {
                 )))
             }
             LightSource::File(path) => {
-                let image = read_environment(path)?;
+                let image = read_within(memory_limit, |allowance| {
+                    read_environment_within(path, allowance)
+                })?;
                 let options = EnvironmentOptions {
                     rotate_degrees: self.rotate_degrees,
                     scale: self.scale,
@@ -244,6 +247,15 @@ impl ShadeSettings {
             return out_of_range("the target error", &target, "a share from 0.0001 to 1");
         }
         self.gloss.map_or(Ok(()), |gloss| gloss.check())
+    }
+
+    /// The distant light, read within the memory limit.
+    pub(crate) fn load_environment(
+        &self,
+        header: &Header,
+    ) -> Result<Option<Environment>, PbgiError> {
+        let load = |spec: &EnvironmentSpec| spec.load(header.flags.z_up, self.memory_bytes);
+        self.environment.as_ref().map(load).transpose()
     }
 
     fn gather(&self, header: &Header) -> GatherSettings {
@@ -422,6 +434,7 @@ impl<'a> Session<'a> {
                 chunks.try_for_each(|chunk| feed.push(Cow::Borrowed(chunk), ()))
             },
             |chunk| {
+                check_finite(chunk.receivers, &chunk.shadings)?;
                 shadings.extend(chunk.shadings);
                 Ok(())
             },
@@ -442,6 +455,7 @@ impl<'a> Session<'a> {
         let Self { octree, light, sample, done, .. } = self;
         let report =
             shade_stream(octree, light.as_ref(), &options, fill, |chunk: Shaded<'_, T>| {
+                check_finite(chunk.receivers, &chunk.shadings)?;
                 sample.offer_all(chunk.receivers, None, &chunk.shadings);
                 take(chunk)
             })?;
@@ -553,6 +567,25 @@ impl<'a> Session<'a> {
                 Ok(None)
             }
         }
+    }
+}
+
+/// Refuses results that are no numbers: they never reach an output.
+fn check_finite(receivers: &[Receiver], shadings: &[Shading]) -> Result<(), PbgiError> {
+    let is_bad = |shading: &Shading| {
+        let sums = shading.irradiance().iter().chain(&shading.reflected).sum::<f32>()
+            + shading.ambient_occlusion
+            + shading.sky_visibility
+            + shading.bent_normal.element_sum();
+        !sums.is_finite()
+    };
+    match shadings.iter().position(is_bad) {
+        None => Ok(()),
+        Some(index) => Err(PbgiError::input(format!(
+            "the light at {} (relative to the octree's origin) is no number: octree, receivers or environment have sizes or radiances out \
+             of range; check the octree with pbgi-info --verify, and scale the scene or its light",
+            receivers[index].position
+        ))),
     }
 }
 

@@ -1,12 +1,15 @@
 //! Materials and their textures.
 
 use super::accessor::Accessors;
-use super::container::resolve_uri;
-use crate::decode_texture::decode_texture;
+use super::container::{Buffer, resolve_uri};
+use crate::decode_texture::{TextureSize, decode_texture};
+use crate::resources::Resources;
 use crate::{Material, SceneError, Texture};
+use gltf::json::Root;
 use gltf::material::AlphaMode;
 use pbgi_math::Vec2;
 use rayon::prelude::*;
+use std::collections::HashMap;
 use std::path::Path;
 
 /// Which texture coordinates the textures of a material use, and how they are transformed.
@@ -60,8 +63,9 @@ pub(super) fn read_materials(
     path: &Path,
     document: &gltf::Document,
     accessors: Accessors,
+    resources: &Resources,
 ) -> Result<Materials, SceneError> {
-    let mut keys = Vec::new();
+    let mut keys = Keys { firsts: first_of_equals(accessors.root), keys: Vec::new() };
     let mut result =
         Materials { materials: vec![], textures: vec![], uv_sources: vec![], warnings: vec![] };
     for material in document.materials() {
@@ -69,13 +73,24 @@ pub(super) fn read_materials(
         result.materials.push(material);
         result.uv_sources.push(uv_source);
     }
-    let decode = |key: &TextureKey| decode_image(path, accessors, *key);
-    let textures: Result<Vec<Texture>, SceneError> = keys.par_iter().map(decode).collect();
-    result.textures = textures?;
-    let metal_maps = document.materials().map(|m| metallic_roughness_key(&m)).collect::<Vec<_>>();
+    result.textures = decode_images(path, accessors, &keys.keys, resources)?;
+    let metal_maps =
+        document.materials().map(|m| metallic_roughness_key(&m, &keys.firsts)).collect::<Vec<_>>();
+    let mut known = HashMap::new();
     for (material, key) in result.materials.iter_mut().zip(metal_maps) {
         if let Some(key) = key {
-            apply_metallic_roughness(&decode_image(path, accessors, key)?, material);
+            let means = match known.get(&key.image) {
+                Some(means) => *means,
+                None => {
+                    let image = Image::find(path, accessors, key, resources)?;
+                    // It is held for its mean only.
+                    resources.check(path, image.size.decoding_bytes() + image.size.held_bytes())?;
+                    let means = metallic_roughness_means(&image.decode(path)?);
+                    known.insert(key.image, means);
+                    means
+                }
+            };
+            apply_metallic_roughness(means, material);
             let text = "has a metallic-roughness texture; its mean is used";
             result.warnings.push(format!("material {} {text}", material.name));
         }
@@ -88,7 +103,7 @@ pub(super) fn read_materials(
 
 fn read_material(
     material: &gltf::Material,
-    keys: &mut Vec<TextureKey>,
+    keys: &mut Keys,
     warnings: &mut Vec<String>,
 ) -> (Material, Option<UvSource>) {
     let number = material.index().unwrap_or_default();
@@ -106,12 +121,12 @@ fn read_material(
     // The factor belongs to the alpha; our cutoff is compared with that of the texture alone.
     let alpha_cutoff = cutoff.map(|c| if alpha > 0.0 { c / alpha } else { f32::INFINITY });
     let mut add_texture = |info: &gltf::texture::Info, keeps_alpha| {
-        let image = info.texture().source().index();
+        let image = keys.firsts[info.texture().source().index()];
         let key = TextureKey { image, keeps_alpha, srgb: true };
-        let place = keys.iter().position(|k| *k == key);
+        let place = keys.keys.iter().position(|k| *k == key);
         place.unwrap_or_else(|| {
-            keys.push(key);
-            keys.len() - 1
+            keys.keys.push(key);
+            keys.keys.len() - 1
         }) as u32
     };
     let (base, glow) = (pbr.base_color_texture(), material.emissive_texture());
@@ -147,14 +162,20 @@ fn read_specular(material: &gltf::Material) -> f32 {
     if reflectance.is_finite() { (reflectance / 0.08).clamp(0.0, 1.0) } else { 0.5 }
 }
 
-fn metallic_roughness_key(material: &gltf::Material) -> Option<TextureKey> {
+fn metallic_roughness_key(material: &gltf::Material, firsts: &[usize]) -> Option<TextureKey> {
     let info = material.pbr_metallic_roughness().metallic_roughness_texture()?;
-    Some(TextureKey { image: info.texture().source().index(), keeps_alpha: false, srgb: false })
+    let image = firsts[info.texture().source().index()];
+    Some(TextureKey { image, keeps_alpha: false, srgb: false })
 }
 
-/// Multiplies the factors by the texture's means: roughness in green, metalness in blue.
-fn apply_metallic_roughness(texture: &Texture, material: &mut Material) {
+/// Means of roughness, in green, and metalness, in blue.
+fn metallic_roughness_means(texture: &Texture) -> [f32; 2] {
     let [_, roughness, metallic, _] = texture.sample_level(Vec2::splat(0.5), f32::INFINITY);
+    [roughness, metallic]
+}
+
+/// Multiplies the factors by the texture's means.
+fn apply_metallic_roughness([roughness, metallic]: [f32; 2], material: &mut Material) {
     material.roughness *= roughness;
     material.metallic *= metallic;
 }
@@ -168,19 +189,73 @@ fn drop_needless_cutoff(material: &mut Material, textures: &[Texture]) {
     }
 }
 
-fn decode_image(path: &Path, accessors: Accessors, key: TextureKey) -> Result<Texture, SceneError> {
-    let place = format!("image {}", key.image);
-    let malformed = |message: String| SceneError::malformed(path, format!("{place}: {message}"));
-    let image = accessors.root.images.get(key.image);
-    let image = image.ok_or_else(|| malformed("there is no such image".into()))?;
-    let owned;
-    let bytes = match (&image.buffer_view, &image.uri) {
-        (Some(view), _) => accessors.view(view.value()).map_err(malformed)?,
-        (None, Some(uri)) => {
-            owned = resolve_uri(path, &place, uri)?;
-            &owned
-        }
-        (None, None) => return Err(malformed("has neither a buffer view nor a uri".into())),
-    };
-    decode_texture(path, &place, bytes, key.keeps_alpha, key.srgb)
+/// The textures asked for so far.
+struct Keys {
+    /// Of each image the first with the same content.
+    firsts: Vec<usize>,
+    keys: Vec<TextureKey>,
+}
+
+/// Of each image the first that names the same file, or the same part of a buffer: it is decoded once.
+fn first_of_equals(root: &Root) -> Vec<usize> {
+    let mut firsts = HashMap::new();
+    let source =
+        |image: &gltf::json::Image| (image.buffer_view.map(|view| view.value()), image.uri.clone());
+    let images = root.images.iter().enumerate();
+    images.map(|(index, image)| *firsts.entry(source(image)).or_insert(index)).collect()
+}
+
+/// An image whose header is read.
+struct Image<'a> {
+    key: TextureKey,
+    bytes: Buffer<'a>,
+    size: TextureSize,
+}
+
+impl<'a> Image<'a> {
+    fn find(
+        path: &Path,
+        accessors: Accessors<'a>,
+        key: TextureKey,
+        resources: &Resources,
+    ) -> Result<Self, SceneError> {
+        let place = format!("image {}", key.image);
+        let malformed =
+            |message: String| SceneError::malformed(path, format!("{place}: {message}"));
+        let image = accessors.root.images.get(key.image);
+        let image = image.ok_or_else(|| malformed("there is no such image".into()))?;
+        let bytes = match (&image.buffer_view, &image.uri) {
+            (Some(view), _) => Buffer::Chunk(accessors.view(view.value()).map_err(malformed)?),
+            (None, Some(uri)) => Buffer::Read(resolve_uri(path, &place, uri, resources)?),
+            (None, None) => return Err(malformed("has neither a buffer view nor a uri".into())),
+        };
+        let size = TextureSize::of(path, &place, &bytes)?;
+        Ok(Self { key, bytes, size })
+    }
+
+    fn decode(&self, path: &Path) -> Result<Texture, SceneError> {
+        let place = format!("image {}", self.key.image);
+        decode_texture(path, &place, &self.bytes, self.key.keeps_alpha, self.key.srgb)
+    }
+}
+
+/// Decodes the images, at once as far as memory allows. All their sizes are known, and counted, before the first is decoded.
+fn decode_images(
+    path: &Path,
+    accessors: Accessors,
+    keys: &[TextureKey],
+    resources: &Resources,
+) -> Result<Vec<Texture>, SceneError> {
+    let images: Vec<Image> = keys
+        .iter()
+        .map(|key| Image::find(path, accessors, *key, resources))
+        .collect::<Result<_, _>>()?;
+    resources.take(path, images.iter().map(|image| image.size.held_bytes()).sum())?;
+    let largest = images.iter().map(|image| image.size.decoding_bytes()).max().unwrap_or(0);
+    resources.check(path, largest)?;
+    let at_once = largest.saturating_mul(rayon::current_num_threads() as u64);
+    match resources.check(path, at_once) {
+        Ok(()) => images.par_iter().map(|image| image.decode(path)).collect(),
+        Err(_) => images.iter().map(|image| image.decode(path)).collect(),
+    }
 }

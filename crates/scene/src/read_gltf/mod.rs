@@ -6,7 +6,8 @@ mod light;
 mod material;
 mod mesh;
 
-use crate::{Camera, Instance, Scene, SceneError};
+use crate::resources::Resources;
+use crate::{Camera, Instance, Mesh, Scene, SceneError};
 use accessor::Accessors;
 use gltf::json::Root;
 use gltf::json::camera::Type as CameraType;
@@ -29,26 +30,26 @@ const EXTENSIONS: [&str; 4] = [
 ///
 /// Skins, morph targets and animations are left in their rest pose. Directional lights are left out. Candela and nits are taken as
 /// W·sr⁻¹ and W·m⁻²·sr⁻¹.
-pub(crate) fn read_gltf(path: &Path) -> Result<Scene, SceneError> {
-    let file = std::fs::read(path).map_err(|e| SceneError::io(path, "read", e))?;
-    parse_gltf(path, &file)
+pub(crate) fn read_gltf(path: &Path, resources: &Resources) -> Result<Scene, SceneError> {
+    parse_gltf(path, &resources.read(path)?, resources)
 }
 
 /// As [`read_gltf`], from the bytes of the file; `path` serves messages and files beside it.
-fn parse_gltf(path: &Path, file: &[u8]) -> Result<Scene, SceneError> {
+fn parse_gltf(path: &Path, file: &[u8], resources: &Resources) -> Result<Scene, SceneError> {
     let (json, binary) = container::split(path, file)?;
+    resources.take(path, parsed_bytes(json))?;
     let mut warnings = Vec::new();
     let document = parse_json(path, json, &mut warnings)?;
     let root = document.as_json();
-    let buffers = container::load_buffers(path, root, binary)?;
+    let buffers = container::load_buffers(path, root, binary, resources)?;
     let accessors = Accessors { root, buffers: &buffers };
-    let mut materials = material::read_materials(path, &document, accessors)?;
+    let mut materials = material::read_materials(path, &document, accessors, resources)?;
     warnings.append(&mut materials.warnings);
     let mut scene = Scene { warnings, ..Scene::default() };
-    let primitives = read_meshes(path, &document, accessors, &materials, &mut scene)?;
+    let primitives = read_meshes(path, &document, (accessors, resources), &materials, &mut scene)?;
     scene.materials = materials.materials;
     scene.textures = materials.textures;
-    place_nodes(path, &document, &primitives, &mut scene)?;
+    place_nodes(path, &document, &primitives, &mut scene, resources)?;
     if scene.materials.len() == root.materials.len() + 1
         && !scene.meshes.iter().any(|m| m.material as usize == root.materials.len())
     {
@@ -135,7 +136,7 @@ fn extension_cure(extension: &str) -> &'static str {
 fn read_meshes(
     path: &Path,
     document: &gltf::Document,
-    accessors: Accessors,
+    (accessors, resources): (Accessors, &Resources),
     materials: &Materials,
     scene: &mut Scene,
 ) -> Result<Vec<Vec<u32>>, SceneError> {
@@ -146,6 +147,7 @@ fn read_meshes(
         for primitive in mesh.primitives() {
             let place = describe_primitive(&mesh, &primitive);
             let material = primitive.material().index().unwrap_or(default_material);
+            resources.take(path, primitive_bytes(&primitive))?;
             let uv_source = materials.uv_sources.get(material).copied().flatten();
             let read = mesh::read_primitive(&primitive, accessors, material as u32, uv_source)
                 .map_err(|e| SceneError::malformed(path, format!("{place}: {e}")))?;
@@ -160,6 +162,32 @@ fn read_meshes(
     Ok(primitives)
 }
 
+/// Bytes that the JSON takes once it is parsed: its texts, and the fields of its objects.
+fn parsed_bytes(json: &[u8]) -> u64 {
+    let fields = json.iter().filter(|byte| matches!(byte, b',' | b'{' | b'[')).count();
+    json.len() as u64 + FIELD_BYTES * fields as u64
+}
+
+/// Bytes a field of JSON takes on average; primitives, the largest, have a few hundred.
+const FIELD_BYTES: u64 = 64;
+
+/// Bytes of an instance, in a list that doubles as it grows, and of what is diced of it.
+const INSTANCE_BYTES: u64 = 3 * size_of::<Instance>() as u64;
+
+/// Bytes of a primitive's mesh, with what is held while it is read, and of its lists.
+fn primitive_bytes(primitive: &gltf::Primitive) -> u64 {
+    let vertices = primitive.attributes().map(|(_, accessor)| accessor.count()).max().unwrap_or(0);
+    let corners = primitive.indices().map_or(vertices, |indices| indices.count());
+    (vertices as u64)
+        .saturating_mul(VERTEX_BYTES)
+        .saturating_add((corners as u64).saturating_mul(CORNER_BYTES))
+        .saturating_add(size_of::<Mesh>() as u64)
+}
+
+/// Position, normal, color and texture coordinates; an index, and its part of a triangle, of which strips make one for each.
+const VERTEX_BYTES: u64 = 44;
+const CORNER_BYTES: u64 = 4 + 12;
+
 fn describe_primitive(mesh: &gltf::Mesh, primitive: &gltf::Primitive) -> String {
     let name = mesh.name().map_or(String::new(), |name| format!(" ({name})"));
     format!("mesh {}{name}, primitive {}", mesh.index(), primitive.index())
@@ -171,6 +199,7 @@ fn place_nodes(
     document: &gltf::Document,
     primitives: &[Vec<u32>],
     scene: &mut Scene,
+    resources: &Resources,
 ) -> Result<(), SceneError> {
     let malformed = |message: String| SceneError::malformed(path, message);
     let mut lights = Lights::default();
@@ -190,8 +219,9 @@ fn place_nodes(
             if node.skin().is_some() {
                 scene.warnings.push(format!("{place} has a skin; its rest pose is used"));
             }
-            let meshes = primitives.get(mesh.index()).into_iter().flatten();
-            scene.instances.extend(meshes.map(|&mesh| Instance { mesh, transform }));
+            let meshes = primitives.get(mesh.index()).map_or(&[][..], Vec::as_slice);
+            resources.take(path, INSTANCE_BYTES * meshes.len() as u64)?;
+            scene.instances.extend(meshes.iter().map(|&mesh| Instance { mesh, transform }));
         }
         if let Some(camera) = node.camera() {
             let name = node.name().or(camera.name()).unwrap_or_default();
