@@ -69,8 +69,8 @@ impl HeaderFlags {
 /// Largest coordinate of a file, relative to its origin, and largest size: the fourth power of such is a number still.
 pub const COORDINATE_MAX: f32 = (1u64 << 31) as f32;
 
-/// Largest scale of stored radiance: products with areas are numbers still.
-const RADIANCE_SCALE_MAX: f32 = 1.2e24;
+/// Largest scale of stored radiance: that of the largest number there is.
+const RADIANCE_SCALE_MAX: f32 = 1.1e34;
 
 /// Everything about the file that is not in a page.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -279,7 +279,10 @@ impl Header {
             && self.spacing >= 0.0
             && self.area_total.is_finite()
             && self.flux_total.iter().all(|f| f.is_finite());
-        let in_range = self.root.edge <= COORDINATE_MAX
+        if !finite || !self.radius_codec.is_valid() || !self.area_codec.is_valid() {
+            return Err(FormatError::new("header: geometry", "a number out of range", "finite"));
+        }
+        let in_range = self.root.edge <= 2.1 * COORDINATE_MAX
             && [self.root.min, self.bounds.min, self.bounds.max]
                 .iter()
                 .all(|corner| corner.abs().max_element() <= COORDINATE_MAX)
@@ -289,9 +292,6 @@ impl Header {
         if !in_range {
             let expected = format_args!("sizes within {COORDINATE_MAX}");
             return Err(FormatError::new("header: geometry", "a number out of range", expected));
-        }
-        if !finite || !self.radius_codec.is_valid() || !self.area_codec.is_valid() {
-            return Err(FormatError::new("header: geometry", "a number out of range", "finite"));
         }
         Ok(())
     }

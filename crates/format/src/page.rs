@@ -245,7 +245,7 @@ impl<'a> NodePage<'a> {
 fn check_box(fields: &GroupFields) -> Result<(), FormatError> {
     let Aabb { min, max } = fields.bounds;
     let largest = min.abs().max(max.abs()).max_element();
-    if !(largest <= COORDINATE_MAX && fields.cover_margin <= COORDINATE_MAX) {
+    if !(largest <= COORDINATE_MAX && fields.cover_margin <= 4.0 * COORDINATE_MAX) {
         let expected = format_args!("within {COORDINATE_MAX}");
         return Err(FormatError::new("group: box", "a number out of range", expected));
     }

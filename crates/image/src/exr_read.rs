@@ -361,7 +361,7 @@ mod tests {
                     .into_iter()
                     .collect(),
             );
-            let attributes = ex::LayerAttributes::named(name);
+            let attributes = LayerAttributes::named(name);
             Layer::new((size, size), attributes, ex::Encoding::FAST_LOSSLESS, channels)
         };
         let parts =

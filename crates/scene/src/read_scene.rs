@@ -12,7 +12,8 @@ use std::path::Path;
 /// mesh (`.ply`).
 ///
 /// Every index in the scene points to something, every position is finite. What is left out or read
-/// differently is listed in [`Scene::warnings`].
+/// differently is listed in [`Scene::warnings`]. Files that it refers to may lie anywhere, as studios share textures and libraries; what is
+/// no regular file is not opened.
 ///
 /// # Errors
 ///

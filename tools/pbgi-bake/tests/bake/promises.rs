@@ -54,7 +54,7 @@ fn nothing_is_written_through_links() {
 fn a_second_bake_of_one_output_ends_at_once_and_the_first_is_not_disturbed() {
     for more in [&[][..], &["--resume"]] {
         let bench = Bench::new();
-        let slow = ["demo:room?surfels=40k", "--bounces", "2", "-o", "out.pbgi", "-q"];
+        let slow = ["demo:room?surfels=8k", "--bounces", "2", "-o", "out.pbgi", "-q"];
         let mut first = bench.command(&[&slow[..], more].concat());
         let mut first = first.stdout(Stdio::null()).spawn().unwrap();
         while bench.files().is_empty() && first.try_wait().unwrap().is_none() {

@@ -12,6 +12,9 @@ const POINT: &str = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\n
 
 const LIGHT: [&str; 5] = ["--env-color", "1,1,1", "--resolution", "8x6", "-q"];
 
+/// What makes a gather cheap.
+const COARSE: [&str; 4] = ["--solid-angle", "3", "--raster", "2"];
+
 /// A folder with an octree, a scene, its texture, points and an environment.
 fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
@@ -72,7 +75,8 @@ fn no_two_outputs_are_one_and_no_other_kind_of_file_is_replaced() {
     let path = |name: &str| text(&folder.path().join(name)).to_owned();
     std::fs::write(path("diary.txt"), "dear diary").unwrap();
     let with = |more: &[&str]| -> Vec<String> {
-        let all = [&[path("scene.pbgi").as_str()], &LIGHT[..], more].concat();
+        let octree = path("scene.pbgi");
+        let all = [&[octree.as_str()], &LIGHT[..], more].concat();
         all.into_iter().map(str::to_owned).collect()
     };
     let refused = |more: &[&str]| {
@@ -95,7 +99,8 @@ fn no_two_outputs_are_one_and_no_other_kind_of_file_is_replaced() {
     std::fs::copy(path("sky.exr"), path("a12.exr")).unwrap();
     std::fs::copy(path("sky.exr"), path("a2.exr")).unwrap();
     let frames = ["--frames", "2-12x10", "-o", &path("a1#.exr"), "--env", &path("a#.exr")];
-    let all = [&[path("scene.pbgi").as_str(), "--resolution", "8x6", "-q"], &frames[..]].concat();
+    let octree = path("scene.pbgi");
+    let all = [&[octree.as_str(), "--resolution", "8x6", "-q"], &frames[..]].concat();
     assert!(fail(2, &all).contains("is the input"));
 }
 
@@ -113,7 +118,8 @@ fn links_stay_and_devices_are_written_in_place() {
         std::fs::read(path("deep/picture.exr")).unwrap(),
         std::fs::read(path("sky.exr")).unwrap()
     );
-    let surfels = [octree.as_str(), "--surfels", "--env-color", "1,1,1", "-q", "--force", "-o"];
+    let surfels = [octree.as_str(), "--surfels", "--env-color", "1,1,1", "-q", "--force"];
+    let surfels = [&surfels[..], &COARSE, &["-o"]].concat();
     shade(&[&surfels[..], &["/dev/null"]].concat());
     assert!(std::fs::metadata("/dev/null").unwrap().file_type().is_char_device());
     let made = Command::new("mkfifo").arg(path("pipe")).status().unwrap();
@@ -141,11 +147,12 @@ fn what_a_killed_run_leaves_the_next_one_removes() {
     let names = || std::fs::read_dir(folder.path()).unwrap().count();
     let surfels =
         [&path("scene.pbgi"), "--surfels", "--env-color", "1,1,1", "-q", "-o", &path("all.csv")];
+    let surfels = [&surfels[..], &COARSE].concat();
     let before = names();
     let mut left = 0;
     for milliseconds in (0..400).step_by(20) {
         let mut child = Command::new(env!("CARGO_BIN_EXE_pbgi-shade"))
-            .args(surfels)
+            .args(&surfels)
             .stdout(Stdio::null())
             .stderr(Stdio::null())
             .spawn()
