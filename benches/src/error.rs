@@ -356,7 +356,7 @@ fn make_case(name: &str, arguments: &Arguments, folder: &Path) -> Result<Option<
             };
             let glossy = |(position, normal): &(Vec3, Vec3)| {
                 let gloss = Gloss { material, toward_eye: (eye - *position).normalize() };
-                Receiver { position: *position, normal: *normal, gloss: Some(gloss) }
+                Receiver { gloss: Some(gloss), ..Receiver::diffuse(*position, *normal) }
             };
             let receivers = ground.iter().step_by(step).take(wanted).map(glossy).collect();
             let middle = ground.iter().map(|g| g.0).sum::<Vec3>() / ground.len() as f32;

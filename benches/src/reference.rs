@@ -201,7 +201,7 @@ impl Bench<'_> {
             let receiver = |(position, normal): (&Vec3, &Vec3)| {
                 let toward_eye = (EMBERS_EYE - *position).normalize();
                 let gloss = Some(Gloss { material, toward_eye });
-                Receiver { position: *position, normal: *normal, gloss }
+                Receiver { gloss, ..Receiver::diffuse(*position, *normal) }
             };
             let settings = GatherSettings { parts: GatherParts::Sharp, ..self.settings };
             let receivers = places.map(receiver).collect();

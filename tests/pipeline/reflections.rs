@@ -19,7 +19,8 @@ fn metal(alpha: f32) -> Material {
 
 fn glossy(position: Vec3, normal: Vec3, eye: Vec3, alpha: f32) -> Receiver {
     let toward_eye = (eye - position).normalize();
-    Receiver { position, normal, gloss: Some(Gloss { material: metal(alpha), toward_eye }) }
+    let gloss = Some(Gloss { material: metal(alpha), toward_eye });
+    Receiver { gloss, ..Receiver::diffuse(position, normal) }
 }
 
 /// The plane y = −1, diced into rectangles 0.1 wide, with a radiance by place.

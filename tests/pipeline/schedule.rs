@@ -2,7 +2,7 @@
 
 use crate::support::{bake, bake_and_open};
 use pbgi_build::BuildOptions;
-use pbgi_gather::{Receiver, Shading};
+use pbgi_gather::{GatherSettings, Receiver, Shading};
 use pbgi_math::Vec3;
 use pbgi_schedule::{
     CHUNKS_IN_FLIGHT, Feed, ReceiverOrder, ScheduleError, ShadeOptions, shade_receivers,
@@ -52,6 +52,41 @@ fn shade_in_chunks(
     assert_eq!(report.receivers, receivers.len() as u64);
     assert_eq!(report.cut_sizes.sum, all.iter().map(|s| u64::from(s.cut_size)).sum::<u64>());
     all
+}
+
+#[test]
+fn what_is_shared_depends_neither_on_budget_nor_on_threads() {
+    let surfels = random_objects(20_000, 0.02, 3);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.pbgi");
+    bake(&surfels, &BuildOptions { page_bytes: 4096, ..BuildOptions::default() }, &path);
+    // Close together: what is far from all of them is most of the scene.
+    let at = |i: usize| Vec3::new((i % 64) as f32, 0.0, (i / 64) as f32) * 0.002;
+    let receivers: Vec<_> = (0..4096).map(|i| Receiver::diffuse(at(i), Vec3::Y)).collect();
+    let shade = |cache_bytes, threads, parallax| {
+        let options = OpenOptions { cache_bytes, readers: 4, ..OpenOptions::default() };
+        let octree = Octree::open(&path, &options).unwrap();
+        let gather = GatherSettings { parallax, ..GatherSettings::default() };
+        let options = ShadeOptions { gather, threads, ..ShadeOptions::default() };
+        shade_receivers(&octree, None, &receivers, &options).unwrap()
+    };
+    let (shared, report) = shade(500 << 10, 1, GatherSettings::SHARED_PARALLAX);
+    for (cache_bytes, threads) in [(500 << 10, 3), (64 << 20, 1), (64 << 20, 4)] {
+        assert!(shade(cache_bytes, threads, GatherSettings::SHARED_PARALLAX).0 == shared);
+    }
+    let (alone, report_alone) = shade(64 << 20, 1, 0.0);
+    let (found, expected) = (report.cut.cut_size(), report_alone.cut.cut_size());
+    assert!(found * 10 < expected, "{found} entries shared, {expected} alone");
+    let mean = |shadings: &[Shading], of: &dyn Fn(&Shading) -> f32| {
+        shadings.iter().map(of).sum::<f32>() / shadings.len() as f32
+    };
+    let occlusion = |s: &Shading| s.ambient_occlusion;
+    let (found, expected) = (mean(&shared, &occlusion), mean(&alone, &occlusion));
+    assert!((found - expected).abs() < 0.01, "{found} {expected}");
+    for (shared, alone) in shared.iter().zip(&alone) {
+        let error = shared.ambient_occlusion - alone.ambient_occlusion;
+        assert!(error.abs() < 0.06, "{error} of {}", alone.ambient_occlusion);
+    }
 }
 
 #[test]

@@ -1,9 +1,10 @@
 //! Chores of the workspace: `cargo xtask tidy`, `cargo xtask bless`, `cargo xtask billion`, `cargo xtask truth`,
-//! `cargo xtask ci`.
+//! `cargo xtask cases`, `cargo xtask ci`.
 #![forbid(unsafe_code)]
 
 mod billion;
 mod bless;
+mod cases;
 mod ci;
 mod crate_roots;
 mod edges;
@@ -25,6 +26,7 @@ Usage: cargo xtask COMMAND
                   bake, verify and shade a street of so many surfels (1G) in a folder (.); 60 GB of disk (minutes)
   truth [--reference] [ARGUMENTS]
                   errors against a ray caster's truth, or against the converged references (minutes); --help tells more
+  cases [NAMES]   run the cases beside the workspace, all or those whose names contain one of these (minutes)
   ci              run every check, as .ci/run does (minutes)
 ";
 
@@ -39,6 +41,7 @@ fn main() -> ExitCode {
         ["billion", surfels] => billion::run(&workspace, surfels, "."),
         ["billion", surfels, folder] => billion::run(&workspace, surfels, folder),
         ["truth", ref rest @ ..] => truth::run(&workspace, rest),
+        ["cases", ref filters @ ..] => cases::run(&workspace, filters),
         ["ci"] => ci::run(&workspace),
         ["-h" | "--help"] => {
             print!("{USAGE}");

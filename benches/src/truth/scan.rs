@@ -97,7 +97,6 @@ fn shade(octree: &Path, settings: ShadeSettings) -> Result<Frame> {
         height: SIZE[1],
         samples: 4,
         shading_rate: 1.0,
-        share_pixels: 0,
         aovs: vec![Aov::SkyVisibility],
         names: AovNames::default(),
         settings,

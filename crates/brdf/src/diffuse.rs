@@ -1,7 +1,7 @@
 //! Lambertian irradiance, ambient occlusion, sky visibility and bent normal.
 
-use pbgi_math::{CubeFace, Vec3};
-use pbgi_raster::{CubeRaster, CubeRasterTable, LANES};
+use pbgi_math::{CubeFace, CubeTexel, Vec3};
+use pbgi_raster::{CubeRaster, CubeRasterTable, FarBlend, LANES};
 use std::f32::consts::PI;
 
 /// Distant light in the texels of a cube raster's memory layout; three channels.
@@ -32,12 +32,15 @@ pub struct ConvolutionTable {
     tilt_u: [Vec<f32>; 3],
     tilt_v: [Vec<f32>; 3],
     solid_angle_sr: Vec<f32>,
+    /// The same of texels in the sky, 0 elsewhere, and its sum.
+    sky_sr: Vec<f32>,
+    sky_sum_sr: f32,
 }
 
 impl ConvolutionTable {
-    /// Table for the texels of `table`.
+    /// Table for the texels of `table`; `up` is the direction of the sky.
     #[must_use]
-    pub fn new(table: &CubeRasterTable) -> Self {
+    pub fn new(table: &CubeRasterTable, up: Vec3) -> Self {
         let (n, stride) = (table.edge(), table.stride());
         let plane = |value: &dyn Fn(usize) -> Vec3| -> [Vec<f32>; 3] {
             std::array::from_fn(|axis| (0..6 * n * stride).map(|i| value(i)[axis]).collect())
@@ -62,7 +65,13 @@ impl ConvolutionTable {
             let texel_area = 4.0 * half * half;
             change(index, along_u, &|d| d / d.length_squared().powi(2)) * texel_area
         };
+        let in_sky = |texel: &CubeTexel| {
+            if texel.vector.dot(up) > 0.0 { texel.solid_angle_sr } else { 0.0 }
+        };
+        let sky_sr: Vec<f32> = table.texels().iter().map(in_sky).collect();
         Self {
+            sky_sum_sr: sky_sr.iter().sum(),
+            sky_sr,
             vector: plane(&|i| table.texels()[i].vector),
             reach_u: plane(&|i| reach(i, true)),
             reach_v: plane(&|i| reach(i, false)),
@@ -107,8 +116,8 @@ fn clamp_below(x: f32, most: f32) -> f32 {
     if x < most { x } else { most }
 }
 
-/// Sums a raster over the hemisphere around `normal`: `E = Σ L (n·d) dω`, with the environment where
-/// texels are open. `up` is the direction of the sky.
+/// Sums a raster over the hemisphere around `normal`: `E = Σ L (n·d) dω`, with what lies `behind` it and the environment where
+/// texels are open. `plane` is the normal of the receiver's own surface, below which the raster counts samples as covered.
 ///
 /// Within a texel, the cosine times the solid angle of what is seen there, `n·d dω`, is taken as linear: the open share `o` of a texel weighs
 /// `o c + t·m`, where `c` is its integral, `t` its change toward the borders ([`ConvolutionTable`]) and `m` how far the open samples lie
@@ -123,16 +132,17 @@ pub fn convolve_diffuse(
     raster: &CubeRaster,
     table: &ConvolutionTable,
     environment: Option<&EnvironmentTexels>,
-    normal: Vec3,
-    up: Vec3,
+    behind: Option<&FarBlend<'_>>,
+    [normal, plane]: [Vec3; 2],
 ) -> Diffuse {
     let texels = table.solid_angle_sr.len();
     let mut surface = [[0.0f32; LANES]; 3];
     let mut distant = [[0.0f32; LANES]; 3];
     let mut bent = [[0.0f32; LANES]; 3];
     let (mut open_sum, mut weight_sum) = ([0.0f32; LANES], [0.0f32; LANES]);
-    let (mut sky, mut sky_sum) = ([0.0f32; LANES], [0.0f32; LANES]);
+    let mut sky = [0.0f32; LANES];
     for start in (0..texels).step_by(LANES) {
+        let Some(chunk) = raster.chunk(start / LANES, behind) else { continue };
         let lanes = |plane: &[f32]| -> [f32; LANES] {
             plane[start..start + LANES].try_into().expect("rows are padded to lanes")
         };
@@ -145,21 +155,18 @@ pub fn convolve_diffuse(
         let (tu, tv) = (dot(&table.tilt_u, normal), dot(&table.tilt_v, normal));
         let weight: [f32; LANES] =
             std::array::from_fn(|i| clamped_weight(cosine[i], ru[i].abs() + rv[i].abs()));
-        let chunk = raster.chunk(start / LANES);
         let open: [f32; LANES] = std::array::from_fn(|i| 1.0 - chunk.covered[i]);
         let open_weight: [f32; LANES] = std::array::from_fn(|i| {
             let tilt = tu[i] * chunk.open_offset[0][i] + tv[i] * chunk.open_offset[1][i];
             clamp_below(open[i] * weight[i] + tilt, weight[i])
         });
-        let height = dot(&table.vector, up);
         let omega = lanes(&table.solid_angle_sr);
+        let in_sky = lanes(&table.sky_sr);
         for i in 0..LANES {
             open_sum[i] += open_weight[i];
             weight_sum[i] += weight[i];
             // The sky seen over the receiver's own horizon, as far as texels resolve it.
-            let in_sky = if height[i] > 0.0 { omega[i] } else { 0.0 };
-            sky_sum[i] += in_sky;
-            sky[i] += if cosine[i] > 0.0 { in_sky * open[i] } else { 0.0 };
+            sky[i] += if cosine[i] > 0.0 { in_sky[i] * open[i] } else { 0.0 };
         }
         for axis in 0..3 {
             let vector = lanes(&table.vector[axis]);
@@ -177,23 +184,30 @@ pub fn convolve_diffuse(
             }
         }
         if raster.shines() {
-            for (sum, light) in surface.iter_mut().zip(&chunk.radiance) {
+            let [u, v] = &chunk.far_offset;
+            let far: [f32; LANES] = std::array::from_fn(|i| {
+                let placed = weight[i] + ru[i] * u[i] + rv[i] * v[i];
+                if placed > 0.0 { placed } else { 0.0 }
+            });
+            for channel in 0..3 {
+                let (near, behind) = (&chunk.radiance[channel], &chunk.far_radiance[channel]);
                 for i in 0..LANES {
-                    sum[i] += light[i] * weight[i];
+                    surface[channel][i] += near[i] * weight[i] + behind[i] * far[i];
                 }
             }
         }
     }
     let total = |lanes: &[f32; LANES]| lanes.iter().sum::<f32>();
-    // The quadrature's own error, the same for every receiver of this normal, cancels here.
-    let scale = PI / total(&weight_sum);
+    // The quadrature's own error, the same for every receiver of this normal, cancels here; what an own plane hides does not.
+    let whole = if plane == normal { total(&weight_sum) } else { PI };
+    let scale = PI / whole;
     let bent = Vec3::from_array(bent.each_ref().map(total));
     let lamps = raster.lamp_irradiance();
     Diffuse {
         surface_irradiance: std::array::from_fn(|c| total(&surface[c]) * scale + lamps[c]),
         environment_irradiance: distant.each_ref().map(|s| total(s) * scale),
         ambient_occlusion: (total(&open_sum) * scale / PI).clamp(0.0, 1.0),
-        sky_visibility: (total(&sky) / total(&sky_sum)).clamp(0.0, 1.0),
+        sky_visibility: (total(&sky) / table.sky_sum_sr).clamp(0.0, 1.0),
         bent_normal: if bent.length_squared() > 1e-12 { bent.normalize() } else { normal },
     }
 }
@@ -218,7 +232,7 @@ mod tests {
             // Second order in the texel's size.
             let tolerance = 0.2 / (n * n) as f32;
             let table = CubeRasterTable::new(n);
-            let sums = ConvolutionTable::new(&table);
+            let sums = ConvolutionTable::new(&table, Vec3::Z);
             for normal in normals() {
                 let total: f32 = (0..table.texels().len())
                     .map(|i| {
@@ -255,12 +269,12 @@ mod tests {
     #[test]
     fn an_open_uniform_sky_gives_pi() {
         let table = CubeRasterTable::new(8);
-        let sums = ConvolutionTable::new(&table);
+        let sums = ConvolutionTable::new(&table, Vec3::Z);
         let sky = EnvironmentTexels::new(&table, &vec![[2.0, 1.0, 0.5]; 384]);
         let mut raster = CubeRaster::new(&table, true);
         for normal in normals() {
             run_wide(SimdLevel::Baseline, Draw(&mut raster, normal, &[]));
-            let found = convolve_diffuse(&raster, &sums, Some(&sky), normal, normal);
+            let found = convolve_diffuse(&raster, &sums, Some(&sky), None, [normal; 2]);
             assert!((found.environment_irradiance[0] / (2.0 * PI) - 1.0).abs() < 1e-4);
             assert!((found.ambient_occlusion - 1.0).abs() < 1e-4);
             assert!(found.bent_normal.dot(normal) > 0.9999, "{}", found.bent_normal.dot(normal));
@@ -273,14 +287,14 @@ mod tests {
     #[test]
     fn walls_of_any_height_hide_what_they_should() {
         let table = CubeRasterTable::new(8);
-        let sums = ConvolutionTable::new(&table);
+        let sums = ConvolutionTable::new(&table, Vec3::Z);
         let mut raster = CubeRaster::new(&table, true);
         let (mut error_sum, mut worst) = (0.0, 0.0f32);
         for step in 1..=40 {
             let height = 0.05 * step as f32;
             let wall = (Vec3::X, Vec3::new(0.9, -2000.0, -1.0), Vec3::new(1.1, 2000.0, height));
             run_wide(SimdLevel::Baseline, Draw(&mut raster, Vec3::Z, &[wall]));
-            let found = convolve_diffuse(&raster, &sums, None, Vec3::Z, Vec3::Z);
+            let found = convolve_diffuse(&raster, &sums, None, None, [Vec3::Z; 2]);
             let hidden = 0.5 * (1.0 - 1.0 / (1.0 + height * height).sqrt());
             let error = found.ambient_occlusion - (1.0 - hidden);
             let light = found.surface_irradiance[0] / (3.0 * PI) - hidden;
@@ -295,7 +309,7 @@ mod tests {
     #[test]
     fn a_sky_covered_by_half_gives_half() {
         let table = CubeRasterTable::new(8);
-        let sums = ConvolutionTable::new(&table);
+        let sums = ConvolutionTable::new(&table, Vec3::Z);
         let sky = EnvironmentTexels::new(&table, &vec![[1.0; 3]; 384]);
         let mut raster = CubeRaster::new(&table, true);
         // A wall over everything with x > 0, shining with radiance 3.
@@ -306,7 +320,7 @@ mod tests {
             (Vec3::NEG_Z, Vec3::new(0.0, 0.0, -1.1), Vec3::new(50.0, 50.0, -0.9)),
         ];
         run_wide(SimdLevel::Baseline, Draw(&mut raster, Vec3::Y, &walls));
-        let found = convolve_diffuse(&raster, &sums, Some(&sky), Vec3::Y, Vec3::Y);
+        let found = convolve_diffuse(&raster, &sums, Some(&sky), None, [Vec3::Y; 2]);
         assert!((found.ambient_occlusion - 0.5).abs() < 0.01, "{found:?}");
         assert!((found.environment_irradiance[0] - PI / 2.0).abs() < 0.03);
         assert!((found.surface_irradiance[0] - 3.0 * PI / 2.0).abs() < 0.06);

@@ -13,6 +13,7 @@ pub struct ConcatSource<'a> {
     /// Records dropped and left out by sources already read to their end.
     skipped: u64,
     left_out: LeftOut,
+    warnings: Vec<String>,
 }
 
 impl<'a> ConcatSource<'a> {
@@ -23,10 +24,21 @@ impl<'a> ConcatSource<'a> {
         let bounds = sources.iter().try_fold(Aabb::EMPTY, |all, source| {
             Some(joined(all, source.bounds()?, source.origin() - origin))
         });
-        let count =
-            sources.iter().try_fold(0u64, |sum, s| s.count().and_then(|c| sum.checked_add(c)));
-        let (skipped, left_out) = (0, LeftOut::default());
-        Self { sources: sources.into(), origin, bounds, count, skipped, left_out }
+        let mut all = Self {
+            sources: sources.into(),
+            origin,
+            bounds,
+            count: None,
+            skipped: 0,
+            left_out: LeftOut::default(),
+            warnings: Vec::new(),
+        };
+        all.count = all.sum_counts();
+        all
+    }
+
+    fn sum_counts(&self) -> Option<u64> {
+        self.sources.iter().try_fold(0u64, |sum, s| s.count().and_then(|c| sum.checked_add(c)))
     }
 }
 
@@ -53,14 +65,15 @@ impl SurfelSource for ConcatSource<'_> {
     }
 
     fn find_bounds(&mut self) -> Result<Option<Aabb>, CloudError> {
-        if self.bounds.is_none() {
-            let mut all = Aabb::EMPTY;
-            for source in &mut self.sources {
-                let Some(own) = source.find_bounds()? else { return Ok(None) };
-                all = joined(all, own, source.origin() - self.origin);
-            }
-            self.bounds = Some(all);
+        // Also where they are known: some may be those of strays.
+        let mut all = Aabb::EMPTY;
+        for source in &mut self.sources {
+            let Some(own) = source.find_bounds()? else { return Ok(None) };
+            all = joined(all, own, source.origin() - self.origin);
         }
+        self.bounds = Some(all);
+        // Strays are left out.
+        self.count = self.sum_counts();
         Ok(self.bounds)
     }
 
@@ -76,6 +89,11 @@ impl SurfelSource for ConcatSource<'_> {
         self.sources.iter().fold(self.left_out, |sum, source| sum.plus(source.left_out()))
     }
 
+    fn warnings(&self) -> Vec<String> {
+        let ahead = self.sources.iter().flat_map(|source| source.warnings());
+        self.warnings.iter().cloned().chain(ahead).collect()
+    }
+
     fn read_chunk(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
         let Some(source) = self.sources.front_mut() else { return Ok(false) };
         let start = out.len();
@@ -87,6 +105,7 @@ impl SurfelSource for ConcatSource<'_> {
         if !more {
             self.skipped += source.skipped();
             self.left_out = self.left_out.plus(source.left_out());
+            self.warnings.extend(source.warnings());
             self.sources.pop_front();
         }
         Ok(!self.sources.is_empty())
@@ -114,7 +133,10 @@ mod tests {
             3
         }
         fn left_out(&self) -> LeftOut {
-            LeftOut { by_class: 2, withheld: 5 }
+            LeftOut { by_class: 2, withheld: 5, strays: 1 }
+        }
+        fn warnings(&self) -> Vec<String> {
+            vec!["odd".into()]
         }
         fn read_chunk(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
             self.0.read_chunk(out)
@@ -145,7 +167,8 @@ mod tests {
         assert_eq!(surfels[0].position, [1.0, 2.0, 3.0]);
         assert_eq!(surfels[5000].position, [9.0, 10.5, 10.0]);
         assert_eq!(all.skipped(), 9);
-        assert_eq!(all.left_out(), LeftOut { by_class: 6, withheld: 15 });
+        assert_eq!(all.left_out(), LeftOut { by_class: 6, withheld: 15, strays: 3 });
+        assert_eq!(all.warnings(), ["odd"; 3]);
     }
 
     #[test]

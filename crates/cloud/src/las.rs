@@ -2,6 +2,7 @@
 
 use crate::las_decoder::LasDecoder;
 use crate::record::{Defect, Record, srgb_to_linear};
+use crate::robust::PlaceSample;
 use crate::source::CHUNK_SURFELS;
 use crate::{CloudError, CloudOptions, InvalidPolicy, LeftOut, Surfel, SurfelSource};
 use las::{Header, PointData};
@@ -20,7 +21,8 @@ const INTENSITY_ALBEDO: f32 = 0.9;
 /// Points of a LAS or LAZ file as surfels without normal (isotropic) and without size (radius and
 /// area 0): both are to be estimated from the neighborhood. Z is up.
 ///
-/// The origin is the center of the header's box, rounded to whole units. Albedo comes from RGB,
+/// The origin is the center of the header's box, or where that is far from the first points, their median, rounded to whole units.
+/// Albedo comes from RGB,
 /// read as sRGB; 16 bits per channel, or 8 where the first 65,536 points nowhere exceed 255.
 /// Without RGB it is gray and proportional to intensity, 0.9 at the 99th percentile of those
 /// points; without intensity it is [`CloudOptions::default_albedo`]. Withheld points, and those whose class
@@ -60,7 +62,7 @@ impl LasPoints {
     /// If the file cannot be read or is no valid LAS or LAZ file.
     pub fn open(path: &Path, options: &CloudOptions) -> Result<Self, CloudError> {
         let (decoder, header) = LasDecoder::open(path)?;
-        Ok(Self {
+        let mut points = Self {
             decoder,
             path: path.to_owned(),
             options: options.clone(),
@@ -71,7 +73,25 @@ impl LasPoints {
             left_out: LeftOut::default(),
             color: None,
             points: las::PointDataBuilder::new().for_header(&header).build(),
-        })
+        };
+        points.check_origin()?;
+        Ok(points)
+    }
+
+    /// Takes another origin where the header's box is not that of the first points, and stands at the first again.
+    fn check_origin(&mut self) -> Result<(), CloudError> {
+        let mut sample = PlaceSample::default();
+        if self.decode(CHUNK_SURFELS as u64)? == 0 {
+            return Ok(());
+        }
+        let places = self.points.x().zip(self.points.y()).zip(self.points.z());
+        places.for_each(|((x, y), z)| sample.add(DVec3::new(x, y, z)));
+        if let Some(mass) = sample.mass() {
+            self.origin = mass.choose_origin(self.origin);
+        }
+        (self.decoder, _) = LasDecoder::open(&self.path)?;
+        self.next = 0;
+        Ok(())
     }
 
     /// Looks at the first points, once, and stands at the first again.
@@ -308,6 +328,55 @@ mod tests {
             assert_eq!(count(ClassFilter::Only(vec![2, 6])), (16, 56, 8));
             assert_eq!(count(ClassFilter::Skip(Vec::new())), (72, 0, 8));
         }
+    }
+
+    /// Puts numbers into a header from a byte on.
+    fn with_doubles(mut bytes: Vec<u8>, at: usize, values: &[f64]) -> Vec<u8> {
+        for (k, value) in values.iter().enumerate() {
+            bytes[at + 8 * k..at + 8 * k + 8].copy_from_slice(&value.to_le_bytes());
+        }
+        bytes
+    }
+
+    #[test]
+    fn headers_whose_box_is_wrong_cost_no_digits() {
+        let points = points(1000, 0xff00);
+        for box_of_header in [[0.0; 6], [f64::NAN; 6], [-1e300, 1e300, -1.0, 1.0, 7e8, 8e8]] {
+            let bytes = with_doubles(file_of(&points, 2, (1, 2), false), 179, &box_of_header);
+            let (origin, surfels) = read(&bytes).unwrap();
+            let places: Vec<DVec3> =
+                surfels.iter().map(|s| s.center().as_dvec3() + origin).collect();
+            let kept = points.iter().enumerate().filter(|(i, _)| i % 8 != 7).map(|(_, p)| p);
+            for (place, point) in places.iter().zip(kept) {
+                assert!(
+                    (*place - DVec3::new(point.x, point.y, point.z)).length() < 0.01,
+                    "{place}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn scales_of_0_are_refused() {
+        for scale in [0.0, f64::NAN, f64::INFINITY] {
+            let bytes = with_doubles(file_of(&points(9, 1), 2, (1, 2), false), 139, &[scale]);
+            let message = read(&bytes).unwrap_err().to_string();
+            assert!(message.contains("scale of y"), "{message}");
+        }
+    }
+
+    #[test]
+    fn the_count_of_64_bits_is_that_of_version_1_4() {
+        for format in [2, 7] {
+            let mut bytes = file_of(&points(1000, 0xff00), format, (1, 4), false);
+            bytes[107..111].copy_from_slice(&77u32.to_le_bytes());
+            assert_eq!(read(&bytes).unwrap().1.len(), 875, "{format}");
+        }
+        // Where there is none, the old field counts.
+        let mut bytes = file_of(&points(1000, 0xff00), 2, (1, 4), false);
+        bytes[247..255].fill(0);
+        bytes[107..111].copy_from_slice(&1000u32.to_le_bytes());
+        assert_eq!(read(&bytes).unwrap().1.len(), 875);
     }
 
     /// A COPC file begins with a record of its own, cuts its points into chunks of any length, and has its hierarchy

@@ -204,6 +204,7 @@ impl GuardedFile {
         file.by_ref().take(HEADER_BYTES_MAX as u64).read_to_end(&mut header).map_err(io)?;
         check_header(&header, length).map_err(|message| CloudError::malformed(path, message))?;
         hide_extended_records(&mut header);
+        prefer_long_count(&mut header);
         file.seek(SeekFrom::Start(0)).map_err(io)?;
         Ok(Self { file, header, position: 0 })
     }
@@ -261,9 +262,14 @@ fn check_header(header: &[u8], length: u64) -> Result<(), String> {
         return Err(format!("{records} records before the points at byte {offset}"));
     }
     let is_compressed = header[104] & 0xc0 != 0;
-    let mut count = u32_at(107);
-    if minor >= 4 && count == 0 {
-        count = u64::from_le_bytes(array_at(header, 247));
+    let count = long_count(header).unwrap_or(u32_at(107));
+    for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
+        let scale = f64::from_le_bytes(array_at(header, 131 + 8 * axis));
+        if count > 0 && (scale == 0.0 || !scale.is_finite()) {
+            return Err(format!(
+                "the scale of {name} is {scale}, which leaves no coordinates; write the file again"
+            ));
+        }
     }
     // Even the best compression leaves a bit per 8 points in each chunk.
     let fits = match is_compressed {
@@ -313,6 +319,19 @@ fn check_chunk_table(reader: &mut (impl Read + Seek)) -> std::io::Result<Result<
     }
     reader.seek(SeekFrom::Start(offset))?;
     Ok(Ok(()))
+}
+
+/// The number of points of 64 bits, which must be right since version 1.4; 0 where a writer left it out.
+fn long_count(header: &[u8]) -> Option<u64> {
+    let count = (header[25] >= 4).then(|| u64::from_le_bytes(array_at(header, 247)));
+    count.filter(|count| *count > 0)
+}
+
+/// Programs that change a file update one number of points; readers look at the old one first.
+fn prefer_long_count(header: &mut [u8]) {
+    if long_count(header).is_some() {
+        header[107..111].fill(0);
+    }
 }
 
 /// Sets the place of waveforms and extended records to none.

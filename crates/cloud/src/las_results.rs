@@ -6,6 +6,7 @@
 use crate::CloudError;
 use crate::las_decoder::{LasDecoder, array_at, guard};
 use crate::output::{commit_output, create_output};
+use crate::robust::PlaceSample;
 use las::PointData;
 use laz::{LasZipCompressor, LazItemRecordBuilder, LazVlrBuilder};
 use pbgi_file::{AtomicFile, open_input};
@@ -25,6 +26,8 @@ const RECORD_HEAD_BYTES: usize = 54;
 const EXTENDED_HEAD_BYTES: usize = 60;
 /// Type of an extra dimension: bytes without meaning, and `float`.
 const TYPE_UNDOCUMENTED: u8 = 0;
+/// Most bytes of an undocumented dimension, as written.
+const UNDOCUMENTED_BYTES_MAX: usize = 7;
 const TYPE_FLOAT: u8 = 9;
 
 /// The places of all points of a LAS or LAZ file, whatever their class.
@@ -33,6 +36,8 @@ pub struct LasPlaces {
     points: PointData,
     count: u64,
     next: u64,
+    /// Corners of the header's box.
+    bounds: [DVec3; 2],
 }
 
 impl LasPlaces {
@@ -44,7 +49,9 @@ impl LasPlaces {
     pub fn open(path: &Path) -> Result<Self, CloudError> {
         let (decoder, header) = LasDecoder::open(path)?;
         let points = las::PointDataBuilder::new().for_header(&header).build();
-        Ok(Self { decoder, points, count: header.number_of_points(), next: 0 })
+        let (min, max) = (header.bounds().min, header.bounds().max);
+        let bounds = [min, max].map(|corner| DVec3::new(corner.x, corner.y, corner.z));
+        Ok(Self { decoder, points, count: header.number_of_points(), next: 0, bounds })
     }
 
     /// Number of points.
@@ -67,6 +74,63 @@ impl LasPlaces {
         out.extend(places.map(|((x, y), z)| DVec3::new(x, y, z)));
         self.next += count;
         Ok(self.next < self.count)
+    }
+}
+
+/// Where the points of a LAS or LAZ file are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LasSurvey {
+    /// An origin near most points: places relative to it keep their digits.
+    pub origin: DVec3,
+    /// Least and greatest corner of what a few strays are beyond; `None` where there are none.
+    pub limits: Option<[DVec3; 2]>,
+}
+
+/// Extent of a header's box over that of the first points from which on strays are looked for.
+const SUSPICIOUS_EXTENTS: f64 = 256.0;
+
+impl LasPlaces {
+    /// Finds out where the points of a file are: by its header and its first points, or where these do not fit together, by all.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be read.
+    pub fn survey(path: &Path) -> Result<LasSurvey, CloudError> {
+        let mut places = Self::open(path)?;
+        let (mut sample, mut chunk) = (PlaceSample::default(), Vec::new());
+        let more = places.read_chunk(&mut chunk)?;
+        chunk.iter().for_each(|place| sample.add(*place));
+        let Some(first) = sample.mass() else {
+            return Ok(LasSurvey { origin: DVec3::ZERO, limits: None });
+        };
+        let near = chunk.first().filter(|place| place.is_finite());
+        let origin = first.choose_origin(near.map_or(first.median, |place| place.round()));
+        let [min, max] = places.bounds;
+        let holds = chunk.iter().all(|p| p.cmpge(min - 1.0).all() && p.cmple(max + 1.0).all());
+        if holds && (max - min).max_element() <= SUSPICIOUS_EXTENTS * first.extent() {
+            return Ok(LasSurvey { origin, limits: None });
+        }
+        let mut rest = more;
+        while rest {
+            chunk.clear();
+            rest = places.read_chunk(&mut chunk)?;
+            chunk.iter().for_each(|place| sample.add(*place));
+        }
+        let Some(mass) = sample.mass() else { return Ok(LasSurvey { origin, limits: None }) };
+        let origin = mass.choose_origin(origin);
+        let limits = mass.limits();
+        let [min, max] = limits;
+        let mut strays = 0;
+        let mut again = Self::open(path)?;
+        let mut rest = true;
+        while rest {
+            chunk.clear();
+            rest = again.read_chunk(&mut chunk)?;
+            let is_stray = |p: &&DVec3| !(p.cmpge(min).all() && p.cmple(max).all());
+            strays += chunk.iter().filter(is_stray).count() as u64;
+        }
+        let limits = mass.are_strays(strays, again.count).then_some(limits);
+        Ok(LasSurvey { origin, limits })
     }
 }
 
@@ -343,23 +407,30 @@ impl Head {
         u16::from_le_bytes(array_at(&self.header, 105))
     }
 
-    /// Adds descriptions of `dimensions` behind those of the `known` extra bytes of each point.
-    fn describe(&mut self, dimensions: &[&str], mut known: usize) -> Result<(), String> {
-        let index = match self.records.iter().position(|r| r.is(SPEC_USER, EXTRA_BYTES_RECORD)) {
-            Some(index) => index,
-            None => {
-                self.records.push(Record::new(SPEC_USER, EXTRA_BYTES_RECORD, Vec::new()));
-                self.records.len() - 1
-            }
-        };
-        let data = &mut self.records[index].data;
-        if data.is_empty() {
-            // Bytes nobody has described come first.
-            while known > 0 {
-                let bytes = known.min(255);
-                data.extend(dimension(TYPE_UNDOCUMENTED, bytes as u8, "undocumented"));
-                known -= bytes;
-            }
+    /// Adds descriptions of `dimensions` behind those of the `known` extra bytes of each point. All go into one record, in the order
+    /// of the bytes: readers take them so from however many records there are.
+    fn describe(&mut self, dimensions: &[&str], known: usize) -> Result<(), String> {
+        let (described, others): (Vec<Record>, Vec<Record>) = std::mem::take(&mut self.records)
+            .into_iter()
+            .partition(|r| r.is(SPEC_USER, EXTRA_BYTES_RECORD));
+        self.records = others;
+        let mut data: Vec<u8> = Vec::new();
+        for record in described {
+            let whole = record.data.len() / DIMENSION_BYTES * DIMENSION_BYTES;
+            data.extend(&record.data[..whole]);
+        }
+        let told: usize = data.chunks_exact(DIMENSION_BYTES).map(bytes_of).sum();
+        // Bytes nobody has described come before those that are added. A common reader takes their number for flags from 8 on.
+        let mut untold = known.saturating_sub(told);
+        let mut number = 1;
+        while untold > 0 {
+            let bytes = untold.min(UNDOCUMENTED_BYTES_MAX);
+            data.extend(dimension(
+                TYPE_UNDOCUMENTED,
+                bytes as u8,
+                &format!("undocumented_{number}"),
+            ));
+            (untold, number) = (untold - bytes, number + 1);
         }
         for name in dimensions {
             let is_same = |d: &[u8]| is_user(&d[4..36], name);
@@ -370,10 +441,11 @@ impl Head {
             }
             data.extend(dimension(TYPE_FLOAT, 0, name));
         }
-        match data.len() <= usize::from(u16::MAX) {
-            true => Ok(()),
-            false => Err("there is no room to describe more dimensions".into()),
+        if data.len() > usize::from(u16::MAX) {
+            return Err("there is no room to describe more dimensions".into());
         }
+        self.records.push(Record::new(SPEC_USER, EXTRA_BYTES_RECORD, data));
+        Ok(())
     }
 
     /// Header and records, for points of another format and size.
@@ -412,6 +484,17 @@ impl Head {
         output.seek(SeekFrom::Start(235))?;
         output.write_all(&start.to_le_bytes())?;
         output.write_all(&(self.extended.len() as u32).to_le_bytes())
+    }
+}
+
+/// Bytes of each point that a description is of (LAS 1.4, table 24): types 1 to 10 are numbers, up to 20 pairs and up to 30 triples
+/// of them.
+fn bytes_of(description: &[u8]) -> usize {
+    const SIZES: [usize; 10] = [1, 1, 2, 2, 4, 4, 8, 8, 4, 8];
+    match description[2] {
+        0 => usize::from(description[3]),
+        kind @ 1..=30 => SIZES[usize::from(kind - 1) % 10] * (usize::from(kind - 1) / 10 + 1),
+        _ => 0,
     }
 }
 
@@ -579,6 +662,84 @@ mod tests {
         assert_eq!(found.len(), 300);
         for (found, point) in found.iter().zip(&written) {
             assert!((*found - DVec3::new(point.x, point.y, point.z)).length() < 0.02);
+        }
+    }
+
+    /// Descriptions of a file, whatever records they are in: type, options and name.
+    fn descriptions(path: &Path) -> Vec<(u8, u8, String)> {
+        let reader = las::Reader::from_path(path).unwrap();
+        let of_spec = |v: &&Vlr| v.user_id == SPEC_USER && v.record_id == EXTRA_BYTES_RECORD;
+        let records = reader.header().vlrs().iter().filter(of_spec);
+        records
+            .flat_map(|record| record.data.chunks_exact(DIMENSION_BYTES))
+            .map(|d| {
+                let name = d[4..36].split(|b| *b == 0).next().unwrap();
+                (d[2], d[3], String::from_utf8(name.to_vec()).unwrap())
+            })
+            .collect()
+    }
+
+    #[test]
+    fn descriptions_keep_the_order_of_the_bytes() {
+        let folder = tempfile::tempdir().unwrap();
+        let [input, output] = ["a.las", "b.las"].map(|name| folder.path().join(name));
+        // Two records, as files have that passed through two programs, and three bytes of neither.
+        let mut builder = Builder::from((1, 2));
+        builder.point_format = Format::new(0).unwrap();
+        builder.point_format.extra_bytes = 9;
+        for (kind, name) in [(4, "Amplitude"), (9, "Deviation")] {
+            builder.vlrs.push(Vlr {
+                user_id: SPEC_USER.into(),
+                record_id: EXTRA_BYTES_RECORD,
+                description: String::new(),
+                data: dimension(kind, 0, name).to_vec(),
+            });
+        }
+        let format = builder.point_format;
+        let mut writer = Writer::from_path(&input, builder.into_header().unwrap()).unwrap();
+        points(format).into_iter().for_each(|point| writer.write_point(point).unwrap());
+        writer.close().unwrap();
+        assert_eq!(add_results(&input, &output).unwrap(), 300);
+        let found = descriptions(&output);
+        let names: Vec<&str> = found.iter().map(|(_, _, name)| name.as_str()).collect();
+        let added = NAMES;
+        assert_eq!(names[..3], ["Amplitude", "Deviation", "undocumented_1"]);
+        assert_eq!(names[3..], added);
+        assert_eq!((found[2].0, found[2].1), (TYPE_UNDOCUMENTED, 3));
+    }
+
+    #[test]
+    fn undescribed_bytes_are_told_in_parts_that_readers_open() {
+        let folder = tempfile::tempdir().unwrap();
+        let [input, output] = ["a.las", "b.las"].map(|name| folder.path().join(name));
+        write(&input, 0, (1, 2), 16, false);
+        assert_eq!(add_results(&input, &output).unwrap(), 300);
+        let found = descriptions(&output);
+        let parts: Vec<u8> = found.iter().filter(|d| d.0 == 0).map(|d| d.1).collect();
+        assert_eq!(parts, [7, 7, 2]);
+    }
+
+    #[test]
+    fn surveys_find_strays_and_an_origin_near_the_rest() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.las");
+        for strays in [0, 1] {
+            let mut builder = Builder::from((1, 2));
+            builder.point_format = Format::new(0).unwrap();
+            builder.transforms.x = las::Transform { scale: 0.01, offset: 600_000.0 };
+            let mut writer = Writer::from_path(&path, builder.into_header().unwrap()).unwrap();
+            for i in 0..2000 + strays {
+                let x = if i == 2000 { 0.0 } else { 600_000.0 + f64::from(i % 50) };
+                let point = Point { x, y: f64::from(i / 50), ..Default::default() };
+                writer.write_point(point).unwrap();
+            }
+            writer.close().unwrap();
+            let survey = LasPlaces::survey(&path).unwrap();
+            assert!((survey.origin.x - 600_000.0).abs() < 100.0, "{survey:?}");
+            assert_eq!(survey.limits.is_some(), strays == 1);
+            if let Some([min, max]) = survey.limits {
+                assert!(min.x > 1e5 && max.x > 600_049.0 && max.x < 700_000.0);
+            }
         }
     }
 

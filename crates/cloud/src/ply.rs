@@ -4,7 +4,7 @@
 //! properties, then the rows of each element in the header's order. [`PlyReader`] walks them with
 //! bounded buffers: nothing is allocated on the word of a header.
 
-use crate::CloudError;
+use crate::{CloudError, parse_number};
 use std::io::{BufRead, ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
@@ -14,6 +14,9 @@ const LINE_BYTES_MAX: u64 = 1 << 20;
 const HEADER_LINES_MAX: usize = 10_000;
 /// Most values of one list property.
 const LIST_LENGTH_MAX: f64 = (1u32 << 20) as f64;
+/// The same, and longest ASCII row in bytes, where long rows are allowed.
+const LONG_LIST_LENGTH_MAX: f64 = (1u32 << 31) as f64;
+const LONG_LINE_BYTES_MAX: u64 = 1 << 34;
 
 /// How the rows of a PLY file are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,7 +30,7 @@ pub enum PlyFormat {
 }
 
 /// Type of a PLY value.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PlyType {
     /// `char`, `int8`.
     I8,
@@ -42,6 +45,7 @@ pub enum PlyType {
     /// `uint`, `uint32`.
     U32,
     /// `float`, `float32`.
+    #[default]
     F32,
     /// `double`, `float64`.
     F64,
@@ -62,6 +66,41 @@ impl PlyType {
             "double" | "float64" => Self::F64,
             _ => return None,
         })
+    }
+
+    /// The old name of the type, which all readers know.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::I8 => "char",
+            Self::U8 => "uchar",
+            Self::I16 => "short",
+            Self::U16 => "ushort",
+            Self::I32 => "int",
+            Self::U32 => "uint",
+            Self::F32 => "float",
+            Self::F64 => "double",
+        }
+    }
+
+    /// Whether every value of the type is one of `f32`, too.
+    #[must_use]
+    pub fn fits_f32(self) -> bool {
+        !matches!(self, Self::I32 | Self::U32 | Self::F64)
+    }
+
+    /// Appends a value, lowest byte first: rounded to the type, or its nearest end.
+    pub fn encode(self, value: f64, bytes: &mut Vec<u8>) {
+        match self {
+            Self::I8 => bytes.extend((value as i8).to_le_bytes()),
+            Self::U8 => bytes.extend((value as u8).to_le_bytes()),
+            Self::I16 => bytes.extend((value as i16).to_le_bytes()),
+            Self::U16 => bytes.extend((value as u16).to_le_bytes()),
+            Self::I32 => bytes.extend((value as i32).to_le_bytes()),
+            Self::U32 => bytes.extend((value as u32).to_le_bytes()),
+            Self::F32 => bytes.extend((value as f32).to_le_bytes()),
+            Self::F64 => bytes.extend(value.to_le_bytes()),
+        }
     }
 
     /// Bytes of a binary value.
@@ -180,15 +219,19 @@ impl PlyHeader {
             let bad = |message: String| {
                 CloudError::malformed(path, format!("header line {number}: {message}"))
             };
-            if !read_line(reader, &mut line, path)? {
+            if !read_line(reader, &mut line, path, LINE_BYTES_MAX)? {
                 return Err(bad("the file ends before `end_header`".into()));
+            }
+            // Comments are for people, in any encoding.
+            if number > 1 && is_comment(&line) {
+                continue;
             }
             let text = std::str::from_utf8(&line).map_err(|_| bad("not text".into()))?;
             let words: Vec<&str> = text.split_ascii_whitespace().collect();
             match words.as_slice() {
                 ["ply"] if number == 1 => {}
                 _ if number == 1 => return Err(bad("expected `ply`; not a PLY file".into())),
-                [] | ["comment" | "obj_info", ..] => {}
+                [] => {}
                 ["format", name, _version] => {
                     format = Some(parse_format(name).ok_or_else(|| {
                         bad(format!(
@@ -231,6 +274,11 @@ impl PlyHeader {
     }
 }
 
+fn is_comment(line: &[u8]) -> bool {
+    let word = line.trim_ascii_start().split(u8::is_ascii_whitespace).next();
+    matches!(word, Some(b"comment" | b"obj_info"))
+}
+
 fn parse_format(name: &str) -> Option<PlyFormat> {
     Some(match name {
         "ascii" => PlyFormat::Ascii,
@@ -257,17 +305,18 @@ fn read_line(
     reader: &mut impl BufRead,
     line: &mut Vec<u8>,
     path: &Path,
+    bytes_max: u64,
 ) -> Result<bool, CloudError> {
     line.clear();
     let read = reader
         .by_ref()
-        .take(LINE_BYTES_MAX)
+        .take(bytes_max)
         .read_until(b'\n', line)
         .map_err(|e| CloudError::io(path, "read", e))?;
-    if read as u64 == LINE_BYTES_MAX && line.last() != Some(&b'\n') {
+    if read as u64 == bytes_max && line.last() != Some(&b'\n') {
         return Err(CloudError::malformed(
             path,
-            format!("a line is longer than {LINE_BYTES_MAX} bytes; not a PLY file"),
+            format!("a line is longer than {bytes_max} bytes; not a PLY file"),
         ));
     }
     while matches!(line.last(), Some(b'\n' | b'\r')) {
@@ -316,6 +365,9 @@ pub struct PlyReader<R> {
     element: usize,
     row: u64,
     bytes: Vec<u8>,
+    /// Most values of a list, and bytes of an ASCII row.
+    list_length_max: f64,
+    line_bytes_max: u64,
 }
 
 impl<R: BufRead> PlyReader<R> {
@@ -326,7 +378,22 @@ impl<R: BufRead> PlyReader<R> {
     /// As [`PlyHeader::read`].
     pub fn new(mut reader: R, path: &Path) -> Result<Self, CloudError> {
         let header = PlyHeader::read(&mut reader, path)?;
-        Ok(Self { reader, path: path.to_owned(), header, element: 0, row: 0, bytes: Vec::new() })
+        Ok(Self {
+            reader,
+            path: path.to_owned(),
+            header,
+            element: 0,
+            row: 0,
+            bytes: Vec::new(),
+            list_length_max: LIST_LENGTH_MAX,
+            line_bytes_max: LINE_BYTES_MAX,
+        })
+    }
+
+    /// Allows rows as long as the file, such as that of all strips of a mesh. Else one has at most 2²⁰ values and bytes of text.
+    pub fn allow_long_rows(&mut self) {
+        self.list_length_max = LONG_LIST_LENGTH_MAX;
+        self.line_bytes_max = LONG_LINE_BYTES_MAX;
     }
 
     /// The header.
@@ -433,12 +500,12 @@ impl<R: BufRead> PlyReader<R> {
         let mut line = std::mem::take(&mut self.bytes);
         // Blank lines carry nothing.
         while {
-            if !read_line(&mut self.reader, &mut line, &self.path)? {
+            if !read_line(&mut self.reader, &mut line, &self.path, self.line_bytes_max)? {
                 return Err(self.cut_short());
             }
             line.trim_ascii().is_empty()
         } {}
-        let parsed = parse_ascii_row(&line, self.properties(), row);
+        let parsed = parse_ascii_row(&line, self.properties(), self.list_length_max, row);
         self.bytes = line;
         parsed.map_err(|message| self.bad_row(&message))
     }
@@ -449,7 +516,8 @@ impl<R: BufRead> PlyReader<R> {
                 PlyKind::Scalar(ty) => self.read_values(1, ty, big_endian, row)?,
                 PlyKind::List { count, item } => {
                     self.read_values(1, count, big_endian, row)?;
-                    let length = list_length(row.values.pop().unwrap_or(f64::NAN))
+                    let length = row.values.pop().unwrap_or(f64::NAN);
+                    let length = list_length(length, self.list_length_max)
                         .map_err(|message| self.bad_row(&message))?;
                     self.read_values(length, item, big_endian, row)?;
                 }
@@ -498,18 +566,19 @@ impl<R: BufRead> PlyReader<R> {
 fn parse_ascii_row(
     line: &[u8],
     properties: &[PlyProperty],
+    list_length_max: f64,
     row: &mut PlyRow,
 ) -> Result<(), String> {
     let text = std::str::from_utf8(line).map_err(|_| "not text".to_owned())?;
     let mut words = text.split_ascii_whitespace();
     let mut next = |name: &str| {
         let word = words.next().ok_or_else(|| format!("no value for `{name}`"))?;
-        word.parse::<f64>().map_err(|_| format!("`{word}` for `{name}` is not a number"))
+        parse_number(word).ok_or_else(|| format!("`{word}` for `{name}` is not a number"))
     };
     for property in properties {
         let length = match property.kind {
             PlyKind::Scalar(_) => 1,
-            PlyKind::List { .. } => list_length(next(&property.name)?)?,
+            PlyKind::List { .. } => list_length(next(&property.name)?, list_length_max)?,
         };
         for _ in 0..length {
             row.values.push(next(&property.name)?);
@@ -522,11 +591,11 @@ fn parse_ascii_row(
     }
 }
 
-fn list_length(value: f64) -> Result<usize, String> {
-    if (0.0..=LIST_LENGTH_MAX).contains(&value) && value.fract() == 0.0 {
+fn list_length(value: f64, max: f64) -> Result<usize, String> {
+    if (0.0..=max).contains(&value) && value.fract() == 0.0 {
         Ok(value as usize)
     } else {
-        Err(format!("list length {value}, expected a whole number in 0..={LIST_LENGTH_MAX}"))
+        Err(format!("list length {value}, expected a whole number in 0..={max}"))
     }
 }
 
@@ -584,6 +653,36 @@ mod tests {
         assert_eq!(read_all(MESH.as_bytes()).unwrap(), expected);
         assert_eq!(read_all(&binary_mesh(false)).unwrap(), expected);
         assert_eq!(read_all(&binary_mesh(true)).unwrap(), expected);
+    }
+
+    #[test]
+    fn comments_may_be_in_any_encoding() {
+        let mut bytes = MESH.as_bytes().to_vec();
+        let place = MESH.find("comment c").unwrap() + 8;
+        bytes[place] = 0xfc;
+        assert_eq!(read_all(&bytes).unwrap().len(), 3);
+        let place = MESH.find("obj_info").unwrap_or(MESH.find("float x").unwrap());
+        bytes[place] = 0xfc;
+        assert!(read_all(&bytes).unwrap_err().to_string().contains("not text"));
+    }
+
+    #[test]
+    fn rows_may_be_long_where_that_is_allowed() {
+        let length = 1_100_000;
+        let header = format!(
+            "ply\nformat ascii 1.0\nelement tristrips 1\nproperty list int int vertex_indices\n\
+             end_header\n{length}"
+        );
+        let bytes = [header.as_bytes(), &b" 1".repeat(length), b"\n"].concat();
+        for allowed in [false, true] {
+            let mut reader = PlyReader::new(bytes.as_slice(), Path::new("t.ply")).unwrap();
+            if allowed {
+                reader.allow_long_rows();
+            }
+            let mut row = PlyRow::default();
+            assert_eq!(reader.read_row(&mut row).is_ok(), allowed);
+            assert_eq!(row.values.len(), if allowed { length } else { 0 });
+        }
     }
 
     #[test]

@@ -62,6 +62,8 @@ enum Reading {
     Srgb8,
     /// Linear value of a 16-bit sRGB code.
     Srgb16,
+    /// Linear value of an sRGB code given by its coefficient of the constant spherical harmonic, around one half.
+    Harmonic,
 }
 
 impl Reading {
@@ -80,6 +82,8 @@ impl Reading {
 pub(crate) struct PlyColumns {
     /// Those of the position come first.
     columns: Vec<(usize, Column, Reading)>,
+    /// Whether the names of colors are those of display colors.
+    are_codes: bool,
     srgb8: Box<[f32; 256]>,
 }
 
@@ -107,7 +111,39 @@ impl PlyColumns {
         for (field, name) in [(field::RADIUS, "radius"), (field::AREA, "area")] {
             columns.extend(Column::find(element, name).map(|c| (field, c, Reading::Plain)));
         }
-        Ok(Self { columns, srgb8: Box::new(srgb8_table()) })
+        if triple(&COLOR_NAMES).is_none() {
+            let splats = triple(&[["f_dc_0", "f_dc_1", "f_dc_2"]]).into_iter().flatten();
+            let reading = Reading::Harmonic;
+            columns.extend(splats.enumerate().map(|(k, c)| (field::ALBEDO + k, c, reading)));
+        }
+        let are_codes = triple(&COLOR_NAMES[..1]).is_none();
+        Ok(Self { columns, are_codes, srgb8: Box::new(srgb8_table()) })
+    }
+
+    /// Whether colors are floats that may be codes all the same.
+    pub fn has_float_colors(&self) -> bool {
+        let is_float = |(field, _, reading): &(usize, Column, Reading)| {
+            (field::ALBEDO..field::ALBEDO + 3).contains(field) && *reading == Reading::Plain
+        };
+        self.are_codes && self.columns.iter().any(is_float)
+    }
+
+    /// The color values of a row, as written.
+    pub fn colors<'a>(&'a self, row: &'a PlyRow) -> impl Iterator<Item = f64> + 'a {
+        let colors = self
+            .columns
+            .iter()
+            .filter(|(field, _, _)| (field::ALBEDO..field::ALBEDO + 3).contains(field));
+        colors.map(|(_, column, _)| row.scalar(column.index))
+    }
+
+    /// Takes colors for sRGB codes up to 255 from now on.
+    pub fn take_colors_as_codes(&mut self) {
+        for (field, _, reading) in &mut self.columns {
+            if (field::ALBEDO..field::ALBEDO + 3).contains(field) {
+                *reading = Reading::Srgb8;
+            }
+        }
     }
 
     /// Whether positions have more digits than `f32`.
@@ -136,6 +172,7 @@ impl PlyColumns {
                 Reading::From(shift) => (value - shift) as f32,
                 Reading::Srgb8 => self.linear8(value),
                 Reading::Srgb16 => linear16(value),
+                Reading::Harmonic => linear_harmonic(value),
             };
         }
     }
@@ -166,6 +203,7 @@ impl PlyColumns {
                 }
                 Reading::Srgb8 => rows.read(*column, target, |value| self.linear8(value)),
                 Reading::Srgb16 => rows.read(*column, target, linear16),
+                Reading::Harmonic => rows.read(*column, target, linear_harmonic),
             }
         }
     }
@@ -178,6 +216,11 @@ impl PlyColumns {
 
 fn linear16(code: f64) -> f32 {
     srgb_to_linear(code as f32 / 65535.0)
+}
+
+fn linear_harmonic(coefficient: f64) -> f32 {
+    let constant = 0.5 / std::f64::consts::PI.sqrt();
+    srgb_to_linear((0.5 + constant * coefficient).clamp(0.0, 1.0) as f32)
 }
 
 /// Whole binary rows of a fixed stride.
@@ -229,6 +272,19 @@ mod tests {
     use super::*;
     use crate::{CloudOptions, PlyReader};
     use std::path::Path;
+
+    /// The page of formats names every column that is read.
+    #[test]
+    fn columns_are_documented() {
+        let page = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/formats.md");
+        let page = std::fs::read_to_string(page).unwrap();
+        for names in COLOR_NAMES.iter().chain(&NORMAL_NAMES) {
+            assert!(page.contains(&names.join(" ")), "{names:?}");
+        }
+        for name in ["`x y z`", "`radius`", "`area`", "`radiance_r ", "`f_dc_0 "] {
+            assert!(page.contains(name), "{name}");
+        }
+    }
 
     /// Every type in both byte orders gives what its rows give one by one.
     #[test]

@@ -3,13 +3,38 @@
 use crate::forward_file::ForwardFile;
 use crate::ply_columns::{BinaryRows, PlyColumns};
 use crate::record_batch::{BATCH_RECORDS, RecordBatch};
+use crate::robust::PlaceSample;
 use crate::source::CHUNK_SURFELS;
 use crate::{
-    CloudError, CloudOptions, InvalidPolicy, PlyFormat, PlyReader, PlyRow, Surfel, SurfelSource,
+    CloudError, CloudOptions, InvalidPolicy, PlyElement, PlyFormat, PlyReader, PlyRow, Surfel,
+    SurfelSource,
 };
 use pbgi_math::{Aabb, DVec3};
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
+
+/// Rows that tell where a cloud is and how it encodes colors.
+const PROBE_ROWS: usize = 4096;
+/// Colors as floats are linear, from 0 to 1; where one is above this, all are codes of a display up to 255.
+const FLOAT_COLOR_MAX: f64 = 1.5;
+
+/// What the first rows tell.
+struct Probe {
+    origin: DVec3,
+    color_max: f64,
+}
+
+/// What of a cloud of Gaussian splats is left out.
+fn splat_warning(path: &Path, element: &PlyElement) -> Option<String> {
+    let has = |name: &str| element.property(name).is_some();
+    (has("f_dc_0") && has("opacity")).then(|| {
+        format!(
+            "{}: a cloud of Gaussian splats; their centers and base colors are read, their opacities, scales, rotations and \
+             the colors that depend on direction are not: each is an opaque disk",
+            path.display()
+        )
+    })
+}
 
 /// Bytes of rows read at once, at most, unless one row has more.
 const CHUNK_BYTES: usize = 1 << 20;
@@ -18,11 +43,12 @@ const CHUNK_BYTES: usize = 1 << 20;
 ///
 /// | columns | meaning |
 /// |---|---|
-/// | `x y z` | position, required; as `double` the cloud's origin is the first vertex, rounded |
+/// | `x y z` | position, required; as `double` the cloud's origin is the first vertex, or where that strays, the median of the first, rounded |
 /// | `nx ny nz` or `normal_x normal_y normal_z` | normal, any length; zero or absent: isotropic |
 /// | `radius`, `area` | size; see [`CloudOptions`] for what is derived where one is absent |
 /// | `albedo_r albedo_g albedo_b`, or `red green blue` or `r g b` as floats | linear albedo |
-/// | `red green blue`, `diffuse_red …` or `r g b` as integers | sRGB-encoded albedo |
+/// | `red green blue`, `diffuse_red …` or `r g b` as integers, or as floats above 1 | sRGB-encoded albedo |
+/// | `f_dc_0 f_dc_1 f_dc_2` | base color of Gaussian splats: ½ + *f* / (2√π), sRGB-encoded |
 /// | `radiance_r radiance_g radiance_b` | outgoing radiance, W·m⁻²·sr⁻¹ |
 ///
 /// Other columns and elements are skipped.
@@ -37,6 +63,7 @@ pub struct PlyPoints {
     skipped: u64,
     /// Bytes of a binary row of fixed stride and whether they are swapped.
     stride: Option<(usize, bool)>,
+    warnings: Vec<String>,
     /// Box of all centers, once found.
     bounds: Option<Aabb>,
     bytes: Vec<u8>,
@@ -51,11 +78,23 @@ impl PlyPoints {
     /// If the file cannot be read, is no PLY file, or has no vertex positions.
     pub fn open(path: &Path, options: &CloudOptions) -> Result<Self, CloudError> {
         let mut points = Self::open_start(path, options)?;
-        if points.columns.has_double_positions() {
-            let first = points.first_position()?;
+        let is_far = points.columns.has_double_positions();
+        let has_float_colors = points.columns.has_float_colors();
+        if is_far || has_float_colors {
+            let probe = points.probe()?;
             points = Self::open_start(path, options)?;
-            points.origin = first.map_or(DVec3::ZERO, DVec3::round);
-            points.columns.set_origin(points.origin);
+            if is_far {
+                points.origin = probe.origin;
+                points.columns.set_origin(points.origin);
+            }
+            if has_float_colors && probe.color_max > FLOAT_COLOR_MAX {
+                points.columns.take_colors_as_codes();
+                points.warnings.push(format!(
+                    "{}: colors are floats of up to {}; they are taken as those of a display, from 0 to 255",
+                    path.display(),
+                    probe.color_max
+                ));
+            }
         }
         Ok(points)
     }
@@ -74,6 +113,7 @@ impl PlyPoints {
             _ => element.stride_bytes().map(|s| (s, format == PlyFormat::BinaryBigEndian)),
         };
         let count = element.count;
+        let warnings = splat_warning(path, element).into_iter().collect();
         Ok(Self {
             reader,
             path: path.to_owned(),
@@ -84,19 +124,31 @@ impl PlyPoints {
             count,
             skipped: 0,
             stride,
+            warnings,
             bounds: None,
             bytes: Vec::new(),
             row: PlyRow::default(),
         })
     }
 
-    /// Position of the first vertex, if it is usable.
-    fn first_position(&mut self) -> Result<Option<DVec3>, CloudError> {
-        let mut row = PlyRow::default();
-        if !self.reader.read_row(&mut row)? {
-            return Ok(None);
+    /// What the first rows tell.
+    fn probe(&mut self) -> Result<Probe, CloudError> {
+        let (mut row, mut sample) = (PlyRow::default(), PlaceSample::default());
+        let mut probe = Probe { origin: DVec3::ZERO, color_max: 0.0 };
+        let mut first = None;
+        for _ in 0..PROBE_ROWS {
+            if !self.reader.read_row(&mut row)? {
+                break;
+            }
+            let place = self.columns.position(&row);
+            first = first.or(Some(place).filter(|place| place.is_finite()));
+            sample.add(place);
+            probe.color_max = self.columns.colors(&row).fold(probe.color_max, f64::max);
         }
-        Ok(Some(self.columns.position(&row)).filter(|p| p.is_finite()))
+        if let (Some(first), Some(mass)) = (first, sample.mass()) {
+            probe.origin = mass.choose_origin(first.round());
+        }
+        Ok(probe)
     }
 
     /// Appends the surfels of the batch, whose first record is the row `first`.
@@ -201,6 +253,10 @@ impl SurfelSource for PlyPoints {
         self.skipped
     }
 
+    fn warnings(&self) -> Vec<String> {
+        self.warnings.clone()
+    }
+
     fn read_chunk(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
         match self.stride {
             Some((stride, big_endian)) => self.read_fixed(stride, big_endian, out),
@@ -286,6 +342,50 @@ mod tests {
         for length in 0..little.len() {
             assert!(points(&little[..length]).is_err());
         }
+    }
+
+    fn colored(columns: &str, row: &str) -> ([f32; 3], Vec<String>) {
+        let properties: String =
+            columns.split(' ').map(|c| format!("property float {c}\n")).collect();
+        let text =
+            format!("ply\nformat ascii 1.0\nelement vertex 1\n{properties}end_header\n{row}\n");
+        let file = file(text.as_bytes());
+        let mut source = PlyPoints::open(file.path(), &CloudOptions::default()).unwrap();
+        (read_all(&mut source).unwrap()[0].albedo_rgb(), source.warnings())
+    }
+
+    #[test]
+    fn colors_as_floats_are_linear_or_codes_by_their_range() {
+        let near = |found: [f32; 3], expected: [f32; 3]| {
+            (0..3).all(|c| (found[c] - expected[c]).abs() < 1e-3)
+        };
+        let (albedo, warnings) = colored("x y z red green blue", "0 0 0 0.25 0.5 1");
+        assert!(near(albedo, [0.25, 0.5, 1.0]) && warnings.is_empty(), "{albedo:?}");
+        let (albedo, warnings) = colored("x y z red green blue", "0 0 0 0 128 255");
+        assert!(near(albedo, [0.0, 0.215_9, 1.0]) && warnings.len() == 1, "{albedo:?}");
+        let (albedo, _) = colored("x y z albedo_r albedo_g albedo_b", "0 0 0 0 1 2");
+        assert!(near(albedo, [0.0, 1.0, 1.0]));
+    }
+
+    #[test]
+    fn base_colors_of_splats_are_read_and_the_rest_is_named() {
+        // ½ + f / (2√π): 1.7724539 is white, 0 is middle gray.
+        let (albedo, warnings) =
+            colored("x y z f_dc_0 f_dc_1 f_dc_2 opacity", "0 0 0 0 1.7724539 -5 0");
+        assert!((albedo[0] - 0.214).abs() < 1e-2 && albedo[1..] == [1.0, 0.0], "{albedo:?}");
+        assert!(warnings[0].contains("opacities"), "{warnings:?}");
+    }
+
+    #[test]
+    fn strays_at_the_start_cost_no_digits() {
+        let mut text = String::from(
+            "ply\nformat ascii 1.0\nelement vertex 101\nproperty double x\n\
+            property double y\nproperty double z\nend_header\n0 0 0\n",
+        );
+        (0..100).for_each(|i| text.push_str(&format!("637380.2{i:02} 851950.5 400\n")));
+        let file = file(text.as_bytes());
+        let source = PlyPoints::open(file.path(), &CloudOptions::default()).unwrap();
+        assert_eq!(source.origin(), DVec3::new(637_380.0, 851_951.0, 400.0));
     }
 
     #[test]

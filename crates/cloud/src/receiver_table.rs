@@ -3,7 +3,7 @@
 use crate::forward_file::ForwardFile;
 use crate::ply_columns::{Column, NORMAL_NAMES};
 use crate::ply_points::open_ply;
-use crate::{CloudError, PlyElement, PlyKind, PlyReader, PlyRow, PlyType};
+use crate::{CloudError, PlyElement, PlyKind, PlyReader, PlyRow, PlyType, TypedColumn};
 use pbgi_math::{DVec3, Vec3};
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
@@ -17,7 +17,7 @@ pub struct ReceiverTable {
     pub positions: Vec<Vec3>,
     /// Unit normals.
     pub normals: Vec<Vec3>,
-    /// The other scalar columns, as `f32`, each as long as `positions`.
+    /// The other scalar columns, each as long as `positions`.
     pub columns: Vec<ReceiverColumn>,
 }
 
@@ -26,8 +26,24 @@ pub struct ReceiverTable {
 pub struct ReceiverColumn {
     /// Name as written.
     pub name: String,
-    /// One value per receiver.
+    /// Type of the values as written.
+    pub kind: PlyType,
+    /// One value per receiver, as `f32`.
     pub values: Vec<f32>,
+    /// The same with all their digits, empty where `f32` holds these.
+    pub exact: Vec<f64>,
+}
+
+impl ReceiverColumn {
+    /// The value of a receiver, with all its digits.
+    ///
+    /// # Panics
+    ///
+    /// If there is no such row.
+    #[must_use]
+    pub fn value(&self, row: usize) -> f64 {
+        self.exact.get(row).copied().unwrap_or_else(|| f64::from(self.values[row]))
+    }
 }
 
 impl ReceiverTable {
@@ -44,15 +60,17 @@ impl ReceiverTable {
     }
 
     /// Drops all rows and columns; their memory stays.
-    fn reset(&mut self, origin: DVec3, names: &[String]) {
+    fn reset(&mut self, origin: DVec3, columns: &[TypedColumn]) {
         self.origin = origin;
         self.positions.clear();
         self.normals.clear();
-        self.columns.truncate(names.len());
-        self.columns.resize_with(names.len(), ReceiverColumn::default);
-        for (column, name) in self.columns.iter_mut().zip(names) {
+        self.columns.truncate(columns.len());
+        self.columns.resize_with(columns.len(), ReceiverColumn::default);
+        for (column, TypedColumn { name, kind }) in self.columns.iter_mut().zip(columns) {
             column.name.clone_from(name);
+            column.kind = *kind;
             column.values.clear();
+            column.exact.clear();
         }
     }
 
@@ -81,9 +99,11 @@ pub struct ReceiverReader {
     reader: PlyReader<BufReader<ForwardFile>>,
     position: [Column; 3],
     normal: [Column; 3],
-    /// Places of the other columns in a row, and their names.
+    /// Places of the other columns in a row, and what they are.
     others: Vec<usize>,
-    names: Vec<String>,
+    columns: Vec<TypedColumn>,
+    /// Elements of the file besides its vertices.
+    elements: Vec<PlyElement>,
     origin: DVec3,
     count: u64,
     /// The row read last, yet to be handed out if there is one.
@@ -110,7 +130,7 @@ impl ReceiverReader {
         let normal = Column::find_triple(&element, &NORMAL_NAMES).ok_or_else(|| {
             malformed("vertices have no columns `nx`, `ny`, `nz`; receivers need normals".into())
         })?;
-        let (others, names) =
+        let (others, columns) =
             other_columns(&element, &[position, normal].concat()).into_iter().unzip();
         let mut row = PlyRow::default();
         let has_row = reader.read_row(&mut row)?;
@@ -120,13 +140,16 @@ impl ReceiverReader {
             origin = if first.is_finite() { first.round() } else { origin };
         }
         let (path, count) = (path.to_owned(), element.count);
+        let mut elements = reader.header().elements.clone();
+        elements.retain(|element| element.name != "vertex" && element.count > 0);
         Ok(Self {
             path,
             reader,
             position,
             normal,
             others,
-            names,
+            columns,
+            elements,
             origin,
             count,
             row,
@@ -147,10 +170,16 @@ impl ReceiverReader {
         self.origin
     }
 
-    /// Names of the columns besides positions and normals.
+    /// The columns besides positions and normals.
     #[must_use]
-    pub fn names(&self) -> &[String] {
-        &self.names
+    pub fn columns(&self) -> &[TypedColumn] {
+        &self.columns
+    }
+
+    /// The elements of the file besides its vertices that have rows, such as faces.
+    #[must_use]
+    pub fn other_elements(&self) -> &[PlyElement] {
+        &self.elements
     }
 
     /// Replaces `table` by the next rows, at most `rows_max` of them; `false` when there are no more.
@@ -163,7 +192,7 @@ impl ReceiverReader {
         rows_max: usize,
         table: &mut ReceiverTable,
     ) -> Result<bool, CloudError> {
-        table.reset(self.origin, &self.names);
+        table.reset(self.origin, &self.columns);
         while self.has_row && table.len() < rows_max {
             self.append_row(table)?;
             self.has_row = self.reader.read_row(&mut self.row)?;
@@ -190,22 +219,27 @@ impl ReceiverReader {
         table.positions.push((p - self.origin).as_vec3());
         table.normals.push(unit.as_vec3());
         for (column, source) in table.columns.iter_mut().zip(&self.others) {
-            column.values.push(self.row.scalar(*source) as f32);
+            let value = self.row.scalar(*source);
+            column.values.push(value as f32);
+            if !column.kind.fits_f32() {
+                column.exact.push(value);
+            }
         }
         Ok(())
     }
 }
 
-/// Index and name of every scalar column but those of `used`.
-fn other_columns(element: &PlyElement, used: &[Column]) -> Vec<(usize, String)> {
+/// Index of every scalar column but those of `used`, and what it is.
+fn other_columns(element: &PlyElement, used: &[Column]) -> Vec<(usize, TypedColumn)> {
     element
         .properties
         .iter()
         .enumerate()
-        .filter(|(index, p)| {
-            matches!(p.kind, PlyKind::Scalar(_)) && used.iter().all(|c| c.index != *index)
+        .filter(|(index, _)| used.iter().all(|c| c.index != *index))
+        .filter_map(|(index, p)| match p.kind {
+            PlyKind::Scalar(kind) => Some((index, TypedColumn { name: p.name.clone(), kind })),
+            PlyKind::List { .. } => None,
         })
-        .map(|(index, p)| (index, p.name.clone()))
         .collect()
 }
 
@@ -238,6 +272,27 @@ mod tests {
     }
 
     #[test]
+    fn other_columns_keep_their_types_and_digits() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("t.ply");
+        let text = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n\
+            property float z\nproperty float nx\nproperty float ny\nproperty float nz\n\
+            property int id\nproperty double time\nproperty uchar red\nproperty list uchar int near\n\
+            element face 1\nproperty list uchar int vertex_indices\nelement edge 0\nproperty int a\n\
+            end_header\n1 2 3 0 0 1 16777217 0.1 200 1 0\n3 0 0 0\n";
+        std::fs::write(&path, text).unwrap();
+        let table = ReceiverTable::read(&path).unwrap();
+        let values: Vec<f64> = table.columns.iter().map(|column| column.value(0)).collect();
+        assert_eq!(values, [16_777_217.0, 0.1, 200.0]);
+        assert_eq!(table.column("red"), Some([200.0].as_slice()));
+        let reader = ReceiverReader::open(&path).unwrap();
+        let kinds: Vec<PlyType> = reader.columns().iter().map(|column| column.kind).collect();
+        assert_eq!(kinds, [PlyType::I32, PlyType::F64, PlyType::U8]);
+        let elements = reader.other_elements();
+        assert_eq!((elements.len(), elements[0].name.as_str()), (1, "face"));
+    }
+
+    #[test]
     fn parts_are_those_of_the_whole() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("t.ply");
@@ -252,7 +307,7 @@ mod tests {
         assert_eq!((whole.len(), whole.origin.x), (23, 5e5));
         let mut reader = ReceiverReader::open(&path).unwrap();
         assert_eq!((reader.count(), reader.origin()), (23, whole.origin));
-        assert_eq!(reader.names(), ["a"]);
+        assert_eq!(reader.columns(), [TypedColumn { name: "a".into(), kind: PlyType::F32 }]);
         let (mut part, mut positions, mut values) = (ReceiverTable::default(), vec![], vec![]);
         let mut sizes = Vec::new();
         loop {

@@ -1,7 +1,7 @@
 //! Rows of numbers as PLY, NumPy array or CSV.
 
 use crate::output::{commit_output, create_output};
-use crate::{CloudError, PlyWriter};
+use crate::{CloudError, PlyType, PlyWriter};
 use pbgi_file::AtomicFile;
 use std::io::{Seek, SeekFrom, Write};
 use std::path::Path;
@@ -11,7 +11,40 @@ const COUNT_DIGITS: usize = 20;
 /// Headers of NumPy files are multiples of this.
 const NPY_ALIGN: usize = 64;
 
-/// Writes rows of named `double` and `float` columns, in a format told by the extension: `.npy`, a one-dimensional
+/// A column of a table that is written.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TypedColumn {
+    /// Its name.
+    pub name: String,
+    /// Type of its values.
+    pub kind: PlyType,
+}
+
+impl TypedColumn {
+    /// Columns of the type `float`, but the first `double_count` of `double`.
+    #[must_use]
+    pub fn floats(names: &[impl AsRef<str>], double_count: usize) -> Vec<Self> {
+        let kind = |index| if index < double_count { PlyType::F64 } else { PlyType::F32 };
+        let names = names.iter().enumerate();
+        names.map(|(i, name)| Self { name: name.as_ref().to_owned(), kind: kind(i) }).collect()
+    }
+
+    /// How NumPy names the type.
+    fn numpy_kind(&self) -> &'static str {
+        match self.kind {
+            PlyType::I8 => "<i1",
+            PlyType::U8 => "<u1",
+            PlyType::I16 => "<i2",
+            PlyType::U16 => "<u2",
+            PlyType::I32 => "<i4",
+            PlyType::U32 => "<u4",
+            PlyType::F32 => "<f4",
+            PlyType::F64 => "<f8",
+        }
+    }
+}
+
+/// Writes rows of named columns, in a format told by the extension: `.npy`, a one-dimensional
 /// structured array for NumPy; `.csv`, a line of names and a line per row, in the fewest digits that read back the same;
 /// a binary PLY file for everything else. The file appears when it is complete.
 ///
@@ -35,8 +68,7 @@ enum Format {
 /// A file of rows under way.
 struct Table {
     file: AtomicFile,
-    columns: Vec<String>,
-    double_count: usize,
+    columns: Vec<TypedColumn>,
     row_count: u64,
     bytes: Vec<u8>,
 }
@@ -52,21 +84,34 @@ impl RowWriter {
         columns: &[impl AsRef<str>],
         double_count: usize,
     ) -> Result<Self, CloudError> {
+        Self::create_typed(path, TypedColumn::floats(columns, double_count), None)
+    }
+
+    /// Starts the file `path` with columns of any types. In a PLY file, the elements of the PLY file `source` but `vertex` follow.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`RowWriter::create`], and if `source` cannot be read.
+    pub fn create_typed(
+        path: &Path,
+        columns: Vec<TypedColumn>,
+        source: Option<&Path>,
+    ) -> Result<Self, CloudError> {
         let extension = path.extension().unwrap_or_default();
         if extension.eq_ignore_ascii_case("npy") {
-            let mut table = Table::create(path, columns, double_count)?;
+            let mut table = Table::create(path, columns)?;
             table.put_npy_header()?;
             return Ok(Self(Format::Npy(table)));
         }
         if extension.eq_ignore_ascii_case("csv") {
-            let mut table = Table::create(path, columns, double_count)?;
+            let mut table = Table::create(path, columns)?;
             table.put_names()?;
             return Ok(Self(Format::Csv(table)));
         }
-        Ok(Self(Format::Ply(PlyWriter::create_with_doubles(path, columns, double_count)?)))
+        Ok(Self(Format::Ply(PlyWriter::create_typed(path, columns, source)?)))
     }
 
-    /// Appends rows: the values of all columns, row after row; those of floats are rounded.
+    /// Appends rows: the values of all columns, row after row, rounded to their types.
     ///
     /// # Errors
     ///
@@ -103,43 +148,40 @@ impl RowWriter {
 }
 
 /// A row as NumPy keeps it.
-fn push_binary(doubles: &[f64], floats: &[f64], bytes: &mut Vec<u8>) {
-    bytes.extend(doubles.iter().flat_map(|value| value.to_le_bytes()));
-    bytes.extend(floats.iter().flat_map(|value| (*value as f32).to_le_bytes()));
+fn push_binary(columns: &[TypedColumn], row: &[f64], bytes: &mut Vec<u8>) {
+    for (column, value) in columns.iter().zip(row) {
+        column.kind.encode(*value, bytes);
+    }
 }
 
 /// A row as a line of text.
-fn push_text(doubles: &[f64], floats: &[f64], bytes: &mut Vec<u8>) {
-    let doubles = doubles.iter().map(f64::to_string);
-    let words: Vec<String> =
-        doubles.chain(floats.iter().map(|v| (*v as f32).to_string())).collect();
+fn push_text(columns: &[TypedColumn], row: &[f64], bytes: &mut Vec<u8>) {
+    let word = |(column, value): (&TypedColumn, &f64)| match column.kind {
+        PlyType::F32 => (*value as f32).to_string(),
+        _ => value.to_string(),
+    };
+    let words: Vec<String> = columns.iter().zip(row).map(word).collect();
     bytes.extend(words.join(",").bytes());
     bytes.push(b'\n');
 }
 
 impl Table {
-    fn create(
-        path: &Path,
-        columns: &[impl AsRef<str>],
-        double_count: usize,
-    ) -> Result<Self, CloudError> {
-        let columns: Vec<String> = columns.iter().map(|c| c.as_ref().to_owned()).collect();
+    fn create(path: &Path, columns: Vec<TypedColumn>) -> Result<Self, CloudError> {
         check_names(path, &columns)?;
         let file = create_output(path)?;
-        Ok(Self { file, columns, double_count, row_count: 0, bytes: Vec::new() })
+        Ok(Self { file, columns, row_count: 0, bytes: Vec::new() })
     }
 
     fn write_rows(
         &mut self,
         values: &[f64],
-        push: fn(&[f64], &[f64], &mut Vec<u8>),
+        push: fn(&[TypedColumn], &[f64], &mut Vec<u8>),
     ) -> Result<(), CloudError> {
         let width = self.columns.len().max(1);
         assert!(values.len().is_multiple_of(width), "values must be whole rows");
         for row in values.chunks_exact(width) {
-            let (doubles, floats) = row.split_at(self.double_count.min(width));
             self.bytes.clear();
-            push(doubles, floats, &mut self.bytes);
+            push(&self.columns, row, &mut self.bytes);
             self.flush()?;
         }
         self.row_count += (values.len() / width) as u64;
@@ -149,9 +191,9 @@ impl Table {
     /// The header of NumPy's format, version 1.0: of the same length whatever the number of rows.
     fn put_npy_header(&mut self) -> Result<(), CloudError> {
         let mut fields = String::new();
-        for (index, name) in self.columns.iter().enumerate() {
-            let kind = if index < self.double_count { "<f8" } else { "<f4" };
-            let name = name.replace('\\', "\\\\").replace('\'', "\\'");
+        for column in &self.columns {
+            let kind = column.numpy_kind();
+            let name = column.name.replace('\\', "\\\\").replace('\'', "\\'");
             fields.push_str(&format!("('{name}', '{kind}'), "));
         }
         let rows = self.row_count.to_string();
@@ -176,7 +218,7 @@ impl Table {
 
     /// The first line of a CSV file; names with commas or quotes are quoted.
     fn put_names(&mut self) -> Result<(), CloudError> {
-        let quoted = |name: &String| match name.contains([',', '"']) {
+        let quoted = |TypedColumn { name, .. }: &TypedColumn| match name.contains([',', '"']) {
             true => format!("\"{}\"", name.replace('"', "\"\"")),
             false => name.clone(),
         };
@@ -196,10 +238,10 @@ impl Table {
 }
 
 /// Refuses names that are empty, have blanks, or come twice.
-pub(crate) fn check_names(path: &Path, columns: &[String]) -> Result<(), CloudError> {
-    for (index, name) in columns.iter().enumerate() {
+pub(crate) fn check_names(path: &Path, columns: &[TypedColumn]) -> Result<(), CloudError> {
+    for (index, TypedColumn { name, .. }) in columns.iter().enumerate() {
         let usable = !name.is_empty() && name.bytes().all(|b| b.is_ascii_graphic());
-        if !usable || columns[..index].contains(name) {
+        if !usable || columns[..index].iter().any(|other| other.name == *name) {
             return Err(CloudError::malformed(
                 path,
                 format!("column name `{name}` is empty, has blanks, or comes twice"),
@@ -239,11 +281,34 @@ mod tests {
         assert_eq!(text.trim_end(), expected);
         assert!(text.ends_with('\n'));
         let mut data = Vec::new();
-        ROWS.iter().for_each(|row| push_binary(&row[..1], &row[1..], &mut data));
+        let columns = TypedColumn::floats(&NAMES, 1);
+        ROWS.iter().for_each(|row| push_binary(&columns, row, &mut data));
         assert_eq!(bytes[10 + length..], data);
         assert_eq!(data.len(), 2 * 16);
         // The header does not depend on the number of rows.
         assert_eq!(write("t.npy", &[]).len(), 10 + length);
+    }
+
+    #[test]
+    fn whole_numbers_stay_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let columns = vec![
+            TypedColumn { name: "id".into(), kind: PlyType::I32 },
+            TypedColumn { name: "time".into(), kind: PlyType::F64 },
+            TypedColumn { name: "red".into(), kind: PlyType::U8 },
+        ];
+        let write = |name: &str| {
+            let path = folder.path().join(name);
+            let mut writer = RowWriter::create_typed(&path, columns.clone(), None).unwrap();
+            writer.write_rows(&[16_777_217.0, 0.1, 10.0]).unwrap();
+            writer.finish().unwrap();
+            std::fs::read(path).unwrap()
+        };
+        assert_eq!(write("t.csv"), b"id,time,red\n16777217,0.1,10\n");
+        let array = write("t.npy");
+        let kinds = b"('id', '<i4'), ('time', '<f8'), ('red', '<u1')";
+        assert!(array.windows(kinds.len()).any(|window| window == kinds));
+        assert!(array.ends_with(&[1, 0, 0, 1, 0x9a, 0x99, 0x99, 0x99, 0x99, 0x99, 0xb9, 0x3f, 10]));
     }
 
     #[test]

@@ -50,19 +50,25 @@ pub struct LeftOut {
     pub by_class: u64,
     /// Marked as withheld, which means deleted.
     pub withheld: u64,
+    /// So far from all others that they would take the digits and the levels of these.
+    pub strays: u64,
 }
 
 impl LeftOut {
-    /// Sums of both.
+    /// Sums of each.
     #[must_use]
     pub fn plus(self, other: Self) -> Self {
-        Self { by_class: self.by_class + other.by_class, withheld: self.withheld + other.withheld }
+        Self {
+            by_class: self.by_class + other.by_class,
+            withheld: self.withheld + other.withheld,
+            strays: self.strays + other.strays,
+        }
     }
 
     /// All points.
     #[must_use]
     pub fn total(self) -> u64 {
-        self.by_class + self.withheld
+        self.by_class + self.withheld + self.strays
     }
 }
 
@@ -101,6 +107,11 @@ pub trait SurfelSource: Send {
     /// Points left out so far.
     fn left_out(&self) -> LeftOut {
         LeftOut::default()
+    }
+
+    /// What of the file was left out or read differently than it says, so far, one sentence each that names the file.
+    fn warnings(&self) -> Vec<String> {
+        Vec::new()
     }
 
     /// Appends the next surfels to `out`, at most a few thousand; `false` when there are no more.

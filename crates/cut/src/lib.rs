@@ -5,12 +5,20 @@
 #![forbid(unsafe_code)]
 
 mod cluster;
+mod divide;
+mod leaf;
 mod metric;
-mod pick;
+mod node;
+mod own_surface;
+mod stats;
+mod walk;
 
 pub use cluster::{Cluster, Piece};
+pub use divide::{Division, Separation};
 pub use metric::{NodeSeen, Threshold, UniformThreshold};
-pub use pick::{
-    CutReceiver, CutScratch, CutStats, CutVisitor, LEVELS, LevelStats, OTHER_BIAS,
-    OWN_SURFACE_COSINE, SurfelSeen, is_parallel_tile, mean_brightness, pick_cut,
+pub use node::{NodeRef, Normals};
+pub use own_surface::OWN_SURFACE_COSINE;
+pub use stats::{CutStats, LEVELS, LevelStats};
+pub use walk::{
+    CutReceiver, CutScratch, CutVisitor, SurfelSeen, WalkFrom, mean_brightness, pick_cut,
 };

@@ -12,7 +12,7 @@
 
 use crate::lamps::Lamps;
 use pbgi_brdf::GgxLobe;
-use pbgi_cut::{NodeSeen, Threshold};
+use pbgi_cut::{NodeSeen, Separation, Threshold};
 use pbgi_light::EnvironmentPyramid;
 use pbgi_math::{Vec3, luminance};
 use std::f32::consts::PI;
@@ -191,40 +191,49 @@ fn power_minus_two_thirds(x: f32) -> f32 {
     f32::from_bits(ONE / 3 * 5 - x.to_bits() / 3 * 2)
 }
 
-/// Thresholds of the cube raster. With `EVEN`, light is not weighed, which is for [`Stakes::are_even`].
+/// Thresholds of the cube raster.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct CubeThreshold<'a, const EVEN: bool> {
+pub(crate) struct CubeThreshold<'a> {
     pub user_sr: f32,
     pub texel_sr: f32,
-    pub normal: Vec3,
     pub terms: ImportanceTerms,
     pub stakes: Stakes<'a>,
     pub lamps: &'a Lamps,
 }
 
-impl<'a> CubeThreshold<'a, false> {
-    /// The same thresholds at less cost, where light is even.
-    pub fn of_even_light(self) -> CubeThreshold<'a, true> {
-        let Self { user_sr, texel_sr, normal, terms, stakes, lamps } = self;
-        CubeThreshold { user_sr, texel_sr, normal, terms, stakes, lamps }
-    }
-}
-
-impl<const EVEN: bool> Threshold for CubeThreshold<'_, EVEN> {
+impl Threshold for CubeThreshold<'_> {
     const ASKS_PLANES: bool = true;
-    const ASKS_BRIGHTNESS: bool = !EVEN;
+    const ASKS_BRIGHTNESS: bool = true;
 
     #[inline(always)]
     fn sin2_max(&self, node: &NodeSeen) -> f32 {
-        let mut factor = if EVEN { 1.0 } else { self.stakes.factor(node, self.lamps.behind(node)) };
+        let mut factor = self.stakes.factor(node, self.lamps.behind(node));
         if self.terms.cosine {
-            let height = self.normal.dot(node.to_center) + node.radius2.sqrt();
-            factor /= (height / node.distance2.sqrt()).clamp(COSINE_MIN, 1.0);
+            factor /= (node.top / node.distance2.sqrt()).clamp(COSINE_MIN, 1.0);
         }
         if self.terms.quality && node.is_plane {
             factor *= PLANE_FACTOR;
         }
         slide(self.texel_sr, self.user_sr, factor)
+    }
+}
+
+/// What is far from a block of receivers: beyond the distance at which an edge moves by the parallax allowed, and farther where much light is at
+/// stake, as nodes are smaller there.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ParallaxSeparation<'a> {
+    /// Extent of the block over the parallax.
+    pub distance: f32,
+    pub stakes: Stakes<'a>,
+    pub lamps: &'a Lamps,
+}
+
+impl Separation for ParallaxSeparation<'_> {
+    #[inline(always)]
+    fn distance_min(&self, node: &NodeSeen) -> f32 {
+        let factor = self.stakes.factor(node, self.lamps.behind(node));
+        // Factors are of solid angles.
+        if factor < 1.0 { self.distance / factor.sqrt() } else { self.distance }
     }
 }
 
@@ -296,15 +305,16 @@ pub(crate) mod tests {
             to_center,
             distance2: to_center.length_squared(),
             radius2: radius * radius,
+            top: to_center.y + radius,
             is_plane: false,
             brightness: 0.0,
         }
     }
 
-    fn cube(terms: ImportanceTerms, surfaces: f32) -> CubeThreshold<'static, false> {
+    fn cube(terms: ImportanceTerms, surfaces: f32) -> CubeThreshold<'static> {
         let stakes = Stakes::new(terms, surfaces, None);
         let lamps = &*NO_LAMPS;
-        CubeThreshold { user_sr: 0.1, texel_sr: 0.01, normal: Vec3::Y, terms, stakes, lamps }
+        CubeThreshold { user_sr: 0.1, texel_sr: 0.01, terms, stakes, lamps }
     }
 
     fn only(name: &str) -> ImportanceTerms {
@@ -335,20 +345,6 @@ pub(crate) mod tests {
             let threshold = CubeThreshold { user_sr: 0.0, ..cube(terms, 1.0) };
             assert_eq!(threshold.sin2_max(&node(Vec3::X, 0.1)), 0.0);
         }
-    }
-
-    #[test]
-    fn where_light_is_even_leaving_it_out_changes_nothing() {
-        for (terms, surfaces) in [("all", 0.0), ("cosine,quality", 2.0), ("quality", 2.0)] {
-            let threshold = cube(only(terms), surfaces);
-            assert!(threshold.stakes.are_even());
-            let even = threshold.of_even_light();
-            for (toward, is_plane) in [(Vec3::Y, false), (Vec3::X, true), (Vec3::ONE, true)] {
-                let seen = NodeSeen { is_plane, brightness: 9.0, ..node(toward * 2.0, 0.1) };
-                assert_eq!(even.sin2_max(&seen), threshold.sin2_max(&seen));
-            }
-        }
-        assert!(!cube(ImportanceTerms::ALL, 2.0).stakes.are_even());
     }
 
     #[test]

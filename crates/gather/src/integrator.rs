@@ -1,20 +1,21 @@
-//! One receiver: its cut drawn into its raster, under the environment, times its BRDF.
+//! One receiver: its cut drawn into its raster, over what its block has drawn and the environment, times its BRDF.
 
+use crate::block::Blocks;
 use crate::importance::{CubeThreshold, ImportanceTerms, LobeThreshold, Stakes};
 use crate::lamps::{LampThreshold, LampVisitor, Lamps};
 use crate::light::{PreparedLight, PreparedPeak};
-use crate::primitive::{Outline, SurfelPen, draw_surfel, piece_ink, piece_shape, surfel_ink};
 use crate::receiver::{Gloss, Receiver, Shading};
 use crate::reflect::{LobeScratch, LobeVisitor};
+use crate::visitors::{CubeVisitor, WindowVisitor};
 use pbgi_brdf::{ConvolutionTable, GgxLobe, convolve_diffuse};
 use pbgi_cut::{
-    Cluster, CutReceiver, CutScratch, CutStats, CutVisitor, SurfelSeen, Threshold,
-    UniformThreshold, mean_brightness, pick_cut,
+    CutReceiver, CutScratch, CutStats, CutVisitor, Threshold, UniformThreshold, WalkFrom,
+    mean_brightness, pick_cut,
 };
 use pbgi_math::{Vec3, sphere_sin2_for_solid_angle};
 use pbgi_raster::{
-    CubeRaster, CubeRasterTable, Footprint, Ink, Lanes, SHAPES_MAX, Section, Shape, SimdLevel,
-    Veil, WideKernel, Window, WindowRaster, run_wide,
+    CubeRaster, CubeRasterTable, FarBlend, FarField, Footprint, Lanes, SimdLevel, WideKernel,
+    WindowRaster, run_wide,
 };
 use pbgi_store::{Reader, StoreError};
 use std::marker::PhantomData;
@@ -43,15 +44,23 @@ pub struct GatherSettings {
     pub raster_edge: usize,
     /// Directions of a reflection: 16 · 4^`lobe_level`; at most 4.
     pub lobe_level: u32,
-    /// Surfels that rise less than this share of their radius above the receiver's tangent plane
+    /// Disks that rise less than this share of their radius above the receiver's plane
     /// are its own surface.
     pub bias: f32,
+    /// Extent of a block of receivers, over the distance of what is drawn once for all of them: by so much, in radians, directions differ over
+    /// it. 0 draws all for each.
+    pub parallax: f32,
     /// Which light is looked for; what is not is 0.
     pub parts: GatherParts,
     /// Unit direction of the sky, for `sky_visibility`.
     pub up: Vec3,
     /// The instructions to use.
     pub simd: SimdLevel,
+}
+
+impl GatherSettings {
+    /// A parallax whose error is about that of the default cut: blending is of second order in it.
+    pub const SHARED_PARALLAX: f32 = 0.2;
 }
 
 impl Default for GatherSettings {
@@ -62,6 +71,7 @@ impl Default for GatherSettings {
             raster_edge: 16,
             lobe_level: 3,
             bias: 0.4,
+            parallax: 0.0,
             parts: GatherParts::All,
             up: Vec3::Y,
             simd: SimdLevel::detect(),
@@ -72,10 +82,10 @@ impl Default for GatherSettings {
 /// Share of a window's texel that a node may span to be drawn as one.
 const WINDOW_TEXEL_SHARE: f32 = 0.5;
 
-/// Everything one thread needs to gather for receivers, one after the other.
+/// Everything one thread needs to gather for receivers, one after the other or in blocks.
 pub struct Gatherer<'a> {
-    walker: Walker<'a>,
-    settings: GatherSettings,
+    pub(crate) walker: Walker<'a>,
+    pub(crate) settings: GatherSettings,
     light: Option<&'a PreparedLight>,
     table: ConvolutionTable,
     raster: CubeRaster,
@@ -83,8 +93,9 @@ pub struct Gatherer<'a> {
     lobe: LobeScratch,
     /// What importance weighs brightness by; found by the first gather.
     stakes: Option<Stakes<'a>>,
-    /// Of the receiver that is gathered for.
-    lamps: Lamps,
+    /// What shines brightly around the receiver, or the block, that is gathered for.
+    pub(crate) lamps: Lamps,
+    pub(crate) blocks: Blocks,
 }
 
 impl<'a> Gatherer<'a> {
@@ -102,7 +113,8 @@ impl<'a> Gatherer<'a> {
             settings: *settings,
             light,
             raster: CubeRaster::new(&table, shines),
-            table: ConvolutionTable::new(&table),
+            blocks: Blocks::new(&table),
+            table: ConvolutionTable::new(&table, settings.up),
             lobe: LobeScratch::new(settings.lobe_level),
             stakes: None,
             lamps: Lamps::new(),
@@ -116,49 +128,101 @@ impl<'a> Gatherer<'a> {
         self.walker.stats
     }
 
-    /// Gathers for one receiver. The result depends on the octree, the light, the settings and the
+    /// Gathers for one receiver by itself. The result depends on the octree, the light, the settings and the
     /// receiver only.
     ///
     /// # Errors
     ///
     /// If a page cannot be read or contradicts itself.
     pub fn gather(&mut self, receiver: &Receiver) -> Result<Shading, StoreError> {
-        run_wide(self.settings.simd, GatherKernel { gatherer: self, receiver })
+        let place = self.cut_receiver(receiver);
+        // Only the cube asks for them.
+        if self.settings.parts != GatherParts::Sharp {
+            self.find_lamps(&place)?;
+        }
+        self.gather_near(receiver, WalkFrom::Root, None)
     }
 
-    #[inline(always)]
-    fn gather_kernel<L: Lanes>(&mut self, receiver: &Receiver) -> Result<Shading, StoreError> {
+    /// Gathers for a receiver what is near to it, over what lies `behind`.
+    pub(crate) fn gather_near(
+        &mut self,
+        receiver: &Receiver,
+        from: WalkFrom<'_>,
+        behind: Option<&FarBlend<'_>>,
+    ) -> Result<Shading, StoreError> {
         let before = self.walker.stats.cut_size();
-        let cut_receiver = CutReceiver {
-            position: receiver.position,
-            normal: receiver.normal,
-            bias: 0.0,
-            surfel_bias: self.settings.bias,
-        };
         let mut shading = Shading::default();
         if self.settings.parts != GatherParts::Sharp {
-            // Only the cube asks for them.
-            self.find_lamps(&cut_receiver)?;
-            shading = self.gather_broad::<L>(&cut_receiver)?;
+            let place = self.cut_receiver(receiver);
+            let to = CubeTo::Receiver { receiver, shading: &mut shading };
+            self.draw_cube(CubeKernel { place: &place, from, behind, to })?;
         }
         if self.settings.parts != GatherParts::Broad {
-            let lobe = receiver.gloss.as_ref().and_then(|Gloss { material, toward_eye }| {
-                GgxLobe::new(material, receiver.normal, *toward_eye)
-            });
-            if let Some(lobe) = &lobe {
-                self.gather_lobe::<L>(lobe, &cut_receiver, &mut shading)?;
-            }
-            for peak in self.light.map_or(&[][..], |l| &l.peaks) {
-                self.gather_peak::<L>(peak, &cut_receiver, lobe.as_ref(), &mut shading)?;
-            }
+            self.gather_sharp(receiver, &mut shading)?;
         }
         shading.cut_size = (self.walker.stats.cut_size() - before) as u32;
         Ok(shading)
     }
 
-    /// Finds what shines brightly around the receiver, for importance.
-    #[inline(always)]
-    fn find_lamps(&mut self, receiver: &CutReceiver) -> Result<(), StoreError> {
+    /// Draws what is far, as a place that stands for many receivers sees it, over what lies `behind`. Texels that none of them looks through are
+    /// not needed.
+    pub(crate) fn draw_far(
+        &mut self,
+        place: &CutReceiver,
+        from: WalkFrom<'_>,
+        behind: Option<&FarBlend<'_>>,
+        needed: &[bool],
+        field: &mut FarField,
+    ) -> Result<(), StoreError> {
+        let to = CubeTo::Place { needed, field };
+        self.draw_cube(CubeKernel { place, from, behind, to })
+    }
+
+    fn draw_cube(&mut self, kernel: CubeKernel<'_>) -> Result<(), StoreError> {
+        let stakes = self.stakes()?;
+        let gatherer = self;
+        run_wide(gatherer.settings.simd, DrawCube { gatherer, kernel, stakes })
+    }
+
+    /// Peaks of the environment and reflections, which each receiver looks for by itself.
+    fn gather_sharp(
+        &mut self,
+        receiver: &Receiver,
+        shading: &mut Shading,
+    ) -> Result<(), StoreError> {
+        let lobe = receiver.gloss.as_ref().and_then(|Gloss { material, toward_eye }| {
+            GgxLobe::new(material, receiver.normal, *toward_eye)
+        });
+        let peaks = self.light.map_or(&[][..], |light| &light.peaks);
+        let is_met = |peak: &PreparedPeak| {
+            let axis = peak.window.frame().normal;
+            axis.dot(receiver.normal) > -peak.sin_half_angle
+                && axis.dot(receiver.plane) > -peak.sin_half_angle
+        };
+        if lobe.is_none() && !peaks.iter().any(is_met) {
+            return Ok(());
+        }
+        let place = self.cut_receiver(receiver);
+        if let Some(lobe) = &lobe {
+            let stakes = self.stakes()?;
+            let kernel = LobeKernel { gatherer: self, lobe, place: &place, stakes, shading };
+            run_wide(kernel.gatherer.settings.simd, kernel)?;
+        }
+        for peak in peaks.iter().filter(|peak| is_met(peak)) {
+            let kernel = PeakKernel { gatherer: self, peak, place: &place };
+            run_wide(kernel.gatherer.settings.simd, kernel)?;
+            self.add_peak(peak, receiver, lobe.as_ref(), shading);
+        }
+        Ok(())
+    }
+
+    fn cut_receiver(&self, receiver: &Receiver) -> CutReceiver {
+        let &Receiver { position, normal, plane, .. } = receiver;
+        CutReceiver::new(position, normal, plane, self.settings.bias)
+    }
+
+    /// Finds what shines brightly around a place, for importance.
+    pub(crate) fn find_lamps(&mut self, place: &CutReceiver) -> Result<(), StoreError> {
         let usual = self.stakes()?.usual;
         self.lamps.clear(usual);
         if usual == 0.0 || !self.raster.shines() {
@@ -170,51 +234,13 @@ impl<'a> Gatherer<'a> {
         }
         let threshold = LampThreshold::new(&self.lamps);
         let mut visitor = LampVisitor { lamps: &mut self.lamps };
-        self.walker.look(receiver, &threshold, &mut visitor)?;
+        self.walker.look(place, &threshold, &mut visitor)?;
         self.lamps.finish();
         Ok(())
     }
 
-    /// Everything but peaks and reflections: the cut drawn into the cube, over the environment's base.
-    #[inline(always)]
-    fn gather_broad<L: Lanes>(&mut self, receiver: &CutReceiver) -> Result<Shading, StoreError> {
-        self.raster.clear::<L>(receiver.normal);
-        let terms = self.settings.importance;
-        let stakes = self.stakes()?;
-        let lamps = &self.lamps;
-        let mut visitor = CubeVisitor::<L> {
-            raster: &mut self.raster,
-            footprint: Footprint::default(),
-            normal: receiver.normal,
-            lanes: PhantomData,
-        };
-        let user_sr = self.settings.solid_angle_sr;
-        let edge = self.settings.raster_edge as f32;
-        let texel_sr = SMALLEST_TEXEL_SR / (edge * edge);
-        let normal = receiver.normal;
-        let threshold = CubeThreshold { user_sr, texel_sr, normal, terms, stakes, lamps };
-        if !stakes.are_even() {
-            self.walker.pick(receiver, &threshold, &mut visitor)?;
-        } else if terms.cosine || terms.quality {
-            self.walker.pick(receiver, &threshold.of_even_light(), &mut visitor)?;
-        } else {
-            self.walker.pick(receiver, &uniform(user_sr), &mut visitor)?;
-        }
-        let base = self.light.map(|l| &l.base);
-        let diffuse =
-            convolve_diffuse(&self.raster, &self.table, base, receiver.normal, self.settings.up);
-        Ok(Shading {
-            surface_irradiance: diffuse.surface_irradiance,
-            environment_irradiance: diffuse.environment_irradiance,
-            ambient_occlusion: diffuse.ambient_occlusion,
-            sky_visibility: diffuse.sky_visibility,
-            bent_normal: diffuse.bent_normal,
-            ..Shading::default()
-        })
-    }
-
     /// What importance weighs brightness by.
-    fn stakes(&mut self) -> Result<Stakes<'a>, StoreError> {
+    pub(crate) fn stakes(&mut self) -> Result<Stakes<'a>, StoreError> {
         if let Some(known) = self.stakes {
             return Ok(known);
         }
@@ -225,70 +251,16 @@ impl<'a> Gatherer<'a> {
         Ok(stakes)
     }
 
-    /// Reflections but for the environment's peaks: a walk that draws what a lobe meets.
-    #[inline(always)]
-    fn gather_lobe<L: Lanes>(
-        &mut self,
-        lobe: &GgxLobe,
-        receiver: &CutReceiver,
-        shading: &mut Shading,
-    ) -> Result<(), StoreError> {
-        let stakes = self.stakes()?;
-        self.lobe.start(lobe);
-        let (count, texel_sr) = (self.lobe.count(), self.lobe.smallest_solid_angle());
-        let axis = lobe.mirror();
-        let mut visitor = LobeVisitor::<L> {
-            count,
-            raster: &mut self.lobe.raster,
-            lobe,
-            pattern: &self.lobe.pattern,
-            above: &self.lobe.directions.above,
-            axis,
-            normal: receiver.normal,
-            lanes: PhantomData,
-        };
-        let user_sr = self.settings.solid_angle_sr;
-        let terms = self.settings.importance;
-        if terms == ImportanceTerms::OFF {
-            self.walker.pick(receiver, &uniform(user_sr), &mut visitor)?;
-        } else {
-            let threshold = LobeThreshold { user_sr, texel_sr, lobe, axis, terms, stakes };
-            self.walker.pick(receiver, &threshold, &mut visitor)?;
-        }
-        (shading.reflected, shading.gloss_albedo) = self.lobe.resolve(self.light);
-        Ok(())
-    }
-
-    /// Light from one peak: a narrow walk that draws what blocks its window.
-    #[inline(always)]
-    fn gather_peak<L: Lanes>(
-        &mut self,
+    /// Adds the light of a peak through what its window has left open.
+    fn add_peak(
+        &self,
         peak: &PreparedPeak,
-        receiver: &CutReceiver,
+        receiver: &Receiver,
         lobe: Option<&GgxLobe>,
         shading: &mut Shading,
-    ) -> Result<(), StoreError> {
-        let axis = peak.window.frame().normal;
-        if axis.dot(receiver.normal) <= -peak.sin_half_angle {
-            return Ok(());
-        }
-        self.window_raster.clear(&peak.window);
-        let user_sr = self.settings.solid_angle_sr;
-        let threshold = if self.settings.importance.env {
-            let sine = 0.5 * WINDOW_TEXEL_SHARE * peak.texel_width;
-            UniformThreshold::from_sine(sine.min(sphere_sin2_for_solid_angle(user_sr).sqrt()))
-        } else {
-            uniform(user_sr)
-        };
-        let mut visitor = WindowVisitor::<L> {
-            raster: &mut self.window_raster,
-            window: &peak.window,
-            normal: receiver.normal,
-            lanes: PhantomData,
-        };
-        self.walker.pick(receiver, &threshold, &mut visitor)?;
+    ) {
         for (index, (direction, light)) in peak.texels.iter().enumerate() {
-            if !self.window_raster.is_open(index) {
+            if !self.window_raster.is_open(index) || direction.dot(receiver.plane) <= 0.0 {
                 continue;
             }
             let cosine = direction.dot(receiver.normal).max(0.0);
@@ -298,7 +270,6 @@ impl<'a> Gatherer<'a> {
                 shading.reflected[channel] += reflect[channel] * light[channel];
             }
         }
-        Ok(())
     }
 }
 
@@ -312,26 +283,26 @@ fn uniform(solid_angle_sr: f32) -> UniformThreshold {
 }
 
 /// Picks cuts of one octree, one after the other.
-struct Walker<'a> {
-    reader: Reader<'a>,
+pub(crate) struct Walker<'a> {
+    pub reader: Reader<'a>,
     scratch: CutScratch,
-    stats: CutStats,
+    pub stats: CutStats,
 }
 
 impl Walker<'_> {
     #[inline(always)]
     fn pick<T: Threshold, V: CutVisitor>(
         &mut self,
+        from: WalkFrom<'_>,
         receiver: &CutReceiver,
         threshold: &T,
         visitor: &mut V,
     ) -> Result<(), StoreError> {
         let Self { reader, scratch, stats } = self;
-        pick_cut(reader, receiver, threshold, visitor, scratch, stats)
+        pick_cut(reader, from, receiver, threshold, visitor, scratch, stats)
     }
 
     /// The same for a walk whose nodes are none of the cut; its requests for pages count.
-    #[inline(always)]
     fn look<T: Threshold, V: CutVisitor>(
         &mut self,
         receiver: &CutReceiver,
@@ -339,104 +310,146 @@ impl Walker<'_> {
         visitor: &mut V,
     ) -> Result<(), StoreError> {
         let before = self.stats;
-        self.pick(receiver, threshold, visitor)?;
+        self.pick(WalkFrom::Root, receiver, threshold, visitor)?;
         self.stats = CutStats { levels: self.stats.levels, ..before };
         Ok(())
     }
 }
 
-/// A gather, compiled for every SIMD level.
-struct GatherKernel<'k, 'a> {
-    gatherer: &'k mut Gatherer<'a>,
-    receiver: &'k Receiver,
+/// For whom a cube is drawn.
+enum CubeTo<'k> {
+    /// One receiver: its raster is convolved.
+    Receiver { receiver: &'k Receiver, shading: &'k mut Shading },
+    /// A place that stands for many: its raster is kept.
+    Place { needed: &'k [bool], field: &'k mut FarField },
 }
 
-impl WideKernel for GatherKernel<'_, '_> {
-    type Output = Result<Shading, StoreError>;
+/// A cube to draw.
+struct CubeKernel<'k> {
+    place: &'k CutReceiver,
+    from: WalkFrom<'k>,
+    behind: Option<&'k FarBlend<'k>>,
+    to: CubeTo<'k>,
+}
+
+/// Everything but peaks and reflections, compiled for every SIMD level: the cut drawn into the cube, over the environment's base.
+struct DrawCube<'k, 'a> {
+    gatherer: &'k mut Gatherer<'a>,
+    kernel: CubeKernel<'k>,
+    stakes: Stakes<'a>,
+}
+
+impl WideKernel for DrawCube<'_, '_> {
+    type Output = Result<(), StoreError>;
 
     #[inline(always)]
     fn run<L: Lanes>(self) -> Self::Output {
-        self.gatherer.gather_kernel::<L>(self.receiver)
-    }
-}
-
-/// Draws the cut into the cube.
-struct CubeVisitor<'a, L> {
-    raster: &'a mut CubeRaster,
-    /// Of the box that was asked about last.
-    footprint: Footprint,
-    normal: Vec3,
-    lanes: PhantomData<L>,
-}
-
-impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
-    #[inline(always)]
-    fn is_open(&mut self, low: Vec3, high: Vec3) -> bool {
-        self.footprint = self.raster.footprint(low, high);
-        self.raster.is_open(&self.footprint)
-    }
-
-    #[inline(always)]
-    fn take_cluster(&mut self, cluster: &Cluster) {
-        let mut shapes = [(Section::default(), Ink::default()); SHAPES_MAX];
-        let pieces = cluster.pieces();
-        for (shape, piece) in shapes.iter_mut().zip(pieces) {
-            let (section, veil) = piece_shape(cluster, piece);
-            *shape = (section, piece_ink(cluster, piece, veil));
+        let Self { gatherer, kernel: CubeKernel { place, from, behind, to }, stakes } = self;
+        let Gatherer { walker, settings, light, table, raster, lamps, .. } = gatherer;
+        let plane = match &to {
+            CubeTo::Receiver { receiver, .. } => {
+                raster.clear_above::<L>(receiver.normal, receiver.plane);
+                receiver.plane
+            }
+            CubeTo::Place { needed, .. } => {
+                raster.clear_all_around(needed);
+                Vec3::ZERO
+            }
+        };
+        let edge = settings.raster_edge as f32;
+        let threshold = CubeThreshold {
+            user_sr: settings.solid_angle_sr,
+            texel_sr: SMALLEST_TEXEL_SR / (edge * edge),
+            terms: settings.importance,
+            stakes,
+            lamps,
+        };
+        let mut visitor =
+            CubeVisitor::<L> { raster, footprint: Footprint::default(), plane, lanes: PhantomData };
+        walker.pick(from, place, &threshold, &mut visitor)?;
+        match to {
+            CubeTo::Receiver { receiver, shading } => {
+                let base = light.map(|light| &light.base);
+                let normals = [receiver.normal, receiver.plane];
+                let diffuse = convolve_diffuse(raster, table, base, behind, normals);
+                shading.surface_irradiance = diffuse.surface_irradiance;
+                shading.environment_irradiance = diffuse.environment_irradiance;
+                shading.ambient_occlusion = diffuse.ambient_occlusion;
+                shading.sky_visibility = diffuse.sky_visibility;
+                shading.bent_normal = diffuse.bent_normal;
+            }
+            CubeTo::Place { field, .. } => raster.far_field(behind, field),
         }
-        let toward = cluster.low + cluster.high;
-        self.raster.draw::<L, _>(&shapes[..pieces.len()], &self.footprint, toward);
-    }
-
-    #[inline(always)]
-    fn take_surfel(&mut self, seen: &SurfelSeen) {
-        draw_surfel(seen, self.normal, self);
+        Ok(())
     }
 }
 
-impl<L: Lanes> SurfelPen for CubeVisitor<'_, L> {
+/// Reflections but for the environment's peaks: a walk that draws what a lobe meets.
+struct LobeKernel<'k, 'a> {
+    gatherer: &'k mut Gatherer<'a>,
+    lobe: &'k GgxLobe,
+    place: &'k CutReceiver,
+    stakes: Stakes<'a>,
+    shading: &'k mut Shading,
+}
+
+impl WideKernel for LobeKernel<'_, '_> {
+    type Output = Result<(), StoreError>;
+
     #[inline(always)]
-    fn draw<S: Shape>(&mut self, seen: &SurfelSeen, shape: &S, outline: &Outline) {
-        let footprint = self.raster.footprint(outline.bounds.min, outline.bounds.max);
-        let ink = surfel_ink(seen, outline);
-        self.raster.draw::<L, S>(&[(*shape, ink)], &footprint, seen.surfel.center);
+    fn run<L: Lanes>(self) -> Self::Output {
+        let Self { gatherer, lobe, place, stakes, shading } = self;
+        let Gatherer { walker, settings, light, lobe: scratch, .. } = gatherer;
+        scratch.start(lobe);
+        let (count, texel_sr) = (scratch.count(), scratch.smallest_solid_angle());
+        let axis = lobe.mirror();
+        let mut visitor = LobeVisitor::<L> {
+            count,
+            raster: &mut scratch.raster,
+            lobe,
+            pattern: &scratch.pattern,
+            above: &scratch.directions.above,
+            axis,
+            normal: place.normal(),
+            plane: place.plane(),
+            lanes: PhantomData,
+        };
+        let (user_sr, terms) = (settings.solid_angle_sr, settings.importance);
+        let threshold = LobeThreshold { user_sr, texel_sr, lobe, axis, terms, stakes };
+        walker.pick(WalkFrom::Root, place, &threshold, &mut visitor)?;
+        (shading.reflected, shading.gloss_albedo) = scratch.resolve(*light);
+        Ok(())
     }
 }
 
-/// Draws what blocks a window.
-struct WindowVisitor<'a, L> {
-    raster: &'a mut WindowRaster,
-    window: &'a Window,
-    normal: Vec3,
-    lanes: PhantomData<L>,
+/// Light from one peak: a narrow walk that draws what blocks its window.
+struct PeakKernel<'k, 'a> {
+    gatherer: &'k mut Gatherer<'a>,
+    peak: &'k PreparedPeak,
+    place: &'k CutReceiver,
 }
 
-impl<L: Lanes> CutVisitor for WindowVisitor<'_, L> {
-    #[inline(always)]
-    fn is_open(&mut self, low: Vec3, high: Vec3) -> bool {
-        !self.raster.is_closed() && self.window.is_met_by(low, high)
-    }
+impl WideKernel for PeakKernel<'_, '_> {
+    type Output = Result<(), StoreError>;
 
     #[inline(always)]
-    fn take_cluster(&mut self, cluster: &Cluster) {
-        for piece in cluster.pieces() {
-            let (section, veil) = piece_shape(cluster, piece);
-            self.raster.draw::<L, _>(self.window, &section, &veil);
-        }
-    }
-
-    #[inline(always)]
-    fn take_surfel(&mut self, seen: &SurfelSeen) {
-        draw_surfel(seen, self.normal, self);
-    }
-}
-
-impl<L: Lanes> SurfelPen for WindowVisitor<'_, L> {
-    #[inline(always)]
-    fn draw<S: Shape>(&mut self, seen: &SurfelSeen, shape: &S, outline: &Outline) {
-        if self.window.is_met_by(outline.bounds.min, outline.bounds.max) {
-            let veil = Veil { start: 0.0, end: outline.opacity, seed: seen.seed };
-            self.raster.draw::<L, S>(self.window, shape, &veil);
-        }
+    fn run<L: Lanes>(self) -> Self::Output {
+        let Self { gatherer, peak, place } = self;
+        let Gatherer { walker, settings, window_raster, .. } = gatherer;
+        window_raster.clear(&peak.window);
+        let user_sr = settings.solid_angle_sr;
+        let threshold = if settings.importance.env {
+            let sine = 0.5 * WINDOW_TEXEL_SHARE * peak.texel_width;
+            UniformThreshold::from_sine(sine.min(sphere_sin2_for_solid_angle(user_sr).sqrt()))
+        } else {
+            uniform(user_sr)
+        };
+        let mut visitor = WindowVisitor::<L> {
+            raster: window_raster,
+            window: &peak.window,
+            plane: place.plane(),
+            lanes: PhantomData,
+        };
+        walker.pick(WalkFrom::Root, place, &threshold, &mut visitor)
     }
 }

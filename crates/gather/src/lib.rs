@@ -4,6 +4,7 @@
 //! results.
 #![forbid(unsafe_code)]
 
+mod block;
 mod importance;
 mod integrator;
 mod lamps;
@@ -11,7 +12,9 @@ mod light;
 mod primitive;
 mod receiver;
 mod reflect;
+mod visitors;
 
+pub use block::block_bytes;
 pub use importance::ImportanceTerms;
 pub use integrator::{GatherParts, GatherSettings, Gatherer};
 pub use light::PreparedLight;

@@ -1,6 +1,6 @@
 //! Surfels and pieces of clusters as shapes that rasters draw.
 
-use pbgi_cut::{Cluster, OTHER_BIAS, OWN_SURFACE_COSINE, Piece, SurfelSeen, is_parallel_tile};
+use pbgi_cut::{Cluster, OWN_SURFACE_COSINE, Piece, SurfelSeen};
 use pbgi_format::LeafSurfel;
 use pbgi_math::{Aabb, Vec3, patch_solid_angle_factor};
 use pbgi_raster::{Disk, Ink, Section, Shape, Tile, Triangle, Veil};
@@ -15,17 +15,12 @@ const OWN_SURFACE_RADII: f32 = 2.0;
 /// where it is rough or scanned with noise they are near the plane.
 const OTHER_SURFACE_HEIGHT: f32 = 0.25;
 
-/// Least distance at which a surfel is hit, so that a surface does not shadow itself. Rectangles and triangles that are seen from the front are
-/// where they are.
+/// Least distance at which a disk is hit, so that a surface does not shadow itself.
 #[inline(always)]
-pub(crate) fn least_distance(surfel: &LeafSurfel, normal: Vec3) -> f32 {
+fn least_distance(surfel: &LeafSurfel, normal: Vec3) -> f32 {
     let is_alike = !surfel.isotropic && surfel.normal.dot(normal) > OWN_SURFACE_COSINE;
     let (height, depth) = (normal.dot(surfel.center), surfel.normal.dot(surfel.center));
-    if surfel.tile.is_known() && depth < 0.0 {
-        return 0.0;
-    }
-    let least = if is_parallel_tile(surfel, normal) { OTHER_BIAS } else { OTHER_SURFACE_HEIGHT };
-    let is_other = height.min(depth) > least * surfel.radius;
+    let is_other = height.min(depth) > OTHER_SURFACE_HEIGHT * surfel.radius;
     if is_alike && !is_other { OWN_SURFACE_RADII * surfel.radius } else { 0.0 }
 }
 
@@ -100,11 +95,11 @@ pub(crate) fn draw_surfel<P: SurfelPen>(seen: &SurfelSeen, receiver_normal: Vec3
     }
     let surfel = &seen.surfel;
     if surfel.is_triangle() {
-        let (triangle, bounds) = surfel_triangle(surfel, receiver_normal);
+        let (triangle, bounds) = surfel_triangle(surfel);
         let extent = surfel.radius;
         pen.draw(seen, &triangle, &Outline { bounds, normal: surfel.normal, opacity: 1.0, extent });
     } else if surfel.is_rectangle() {
-        let tile = surfel_tile(surfel, receiver_normal);
+        let tile = surfel_tile(surfel);
         let (bounds, extent) = (tile.bounds(), tile.half[0]);
         pen.draw(seen, &tile, &Outline { bounds, normal: surfel.normal, opacity: 1.0, extent });
     } else {
@@ -138,26 +133,26 @@ fn surfel_disk(seen: &SurfelSeen, receiver_normal: Vec3) -> (Disk, Vec3, f32) {
 
 /// The rectangle a surfel is drawn as.
 #[inline(always)]
-fn surfel_tile(surfel: &LeafSurfel, receiver_normal: Vec3) -> Tile {
+fn surfel_tile(surfel: &LeafSurfel) -> Tile {
     Tile {
         inverse: surfel.normal * (1.0 / surfel.normal.dot(surfel.center)),
         center: surfel.center,
         edges: surfel.tile.edges(surfel.normal),
         half: surfel.half_edges().map(|half| half * TILE_RESERVE),
-        distance_min: least_distance(surfel, receiver_normal),
+        distance_min: 0.0,
     }
 }
 
 /// The triangle a surfel is drawn as, and its box.
 #[inline(always)]
-fn surfel_triangle(surfel: &LeafSurfel, receiver_normal: Vec3) -> (Triangle, Aabb) {
+fn surfel_triangle(surfel: &LeafSurfel) -> (Triangle, Aabb) {
     let [a, b, c] = surfel.corners();
     let center = surfel.center;
     let corners = [center + a * TILE_RESERVE, center + b * TILE_RESERVE, center + c * TILE_RESERVE];
     let inverse = surfel.normal * (1.0 / surfel.normal.dot(center));
     let [a, b, c] = corners;
     let bounds = Aabb { min: a.min(b).min(c), max: a.max(b).max(c) };
-    (Triangle::new(inverse, corners, least_distance(surfel, receiver_normal)), bounds)
+    (Triangle::new(inverse, corners, 0.0), bounds)
 }
 
 /// Whether a surfel covers anything: neither seen along its edge nor from behind where only its front is.

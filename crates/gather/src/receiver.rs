@@ -8,17 +8,19 @@ use pbgi_math::Vec3;
 pub struct Receiver {
     /// Position relative to the octree's origin.
     pub position: Vec3,
-    /// Unit normal.
+    /// Unit normal it is shaded with.
     pub normal: Vec3,
+    /// Unit normal of the surface it lies on, which hides what is below.
+    pub plane: Vec3,
     /// What it reflects glossily and toward whom; nothing for a receiver of diffuse light alone.
     pub gloss: Option<Gloss>,
 }
 
 impl Receiver {
-    /// A receiver of diffuse light alone.
+    /// A receiver of diffuse light alone, on a surface whose normal is that it is shaded with.
     #[must_use]
     pub fn diffuse(position: Vec3, normal: Vec3) -> Self {
-        Self { position, normal, gloss: None }
+        Self { position, normal, plane: normal, gloss: None }
     }
 }
 

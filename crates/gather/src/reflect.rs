@@ -99,6 +99,8 @@ pub(crate) struct LobeVisitor<'a, L> {
     /// Directions of the raster.
     pub count: f32,
     pub normal: Vec3,
+    /// Of the receiver's surface.
+    pub plane: Vec3,
     pub lanes: PhantomData<L>,
 }
 
@@ -193,7 +195,7 @@ impl<L: Lanes> CutVisitor for LobeVisitor<'_, L> {
 
     #[inline(always)]
     fn take_surfel(&mut self, seen: &SurfelSeen) {
-        draw_surfel(seen, self.normal, self);
+        draw_surfel(seen, self.plane, self);
     }
 }
 

@@ -194,6 +194,16 @@ impl AovNames {
         self.layers[aov as usize] = layer.into();
     }
 
+    /// A value of `aov` as its name means it: RenderMan's `occlusion` is 1 where all is covered, unlike all others' ambient occlusion,
+    /// which is 1 where nothing is.
+    #[must_use]
+    pub fn value(&self, aov: Aov, value: f32) -> f32 {
+        match aov {
+            Aov::Occlusion if self.layer(aov) == "occlusion" => 1.0 - value,
+            _ => value,
+        }
+    }
+
     /// Channel names of `aov`: 1, 3 or, for beauty, 4.
     #[must_use]
     pub fn channels(&self, aov: Aov) -> Vec<String> {
@@ -309,6 +319,17 @@ mod tests {
         );
         assert_eq!(names.channels(Aov::Depth), ["Z"]);
         assert_eq!(names.channels(Aov::Occlusion), ["AO"]);
+    }
+
+    #[test]
+    fn occlusion_of_renderman_is_1_where_covered() {
+        for (preset, expected) in
+            [(AovPreset::Arnold, 0.75), (AovPreset::Blender, 0.75), (AovPreset::Renderman, 0.25)]
+        {
+            let names = AovNames::preset(preset);
+            assert_eq!(names.value(Aov::Occlusion, 0.75), expected);
+            assert_eq!(names.value(Aov::SkyVisibility, 0.75), 0.75);
+        }
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Images in memory.
 
+use crate::Chromaticities;
 use half::f16;
 use pbgi_math::Mat4;
 
@@ -184,6 +185,8 @@ pub struct Metadata {
     pub window: ImageWindow,
     /// Attributes of the types of [`AttributeValue`], sorted by name; others are left out.
     pub attributes: Vec<(String, AttributeValue)>,
+    /// What the channels of color mean, where the file says so; else they are Rec. 709.
+    pub chromaticities: Option<Chromaticities>,
     /// Names of parts whose size or place differs from the first part's; they were not read into
     /// the [`Image`].
     pub parts_left_out: Vec<String>,

@@ -18,7 +18,7 @@ mod tile;
 pub use bounds::{Aabb, Cone};
 pub use cube::{CubeFace, CubeMap, CubeTexel};
 pub use frame::Frame;
-pub use glam::{Affine3A, DMat3, DMat4, DVec3, DVec4, Mat3, Mat4, Vec2, Vec3, Vec4};
+pub use glam::{Affine3A, DMat3, DMat4, DVec2, DVec3, DVec4, Mat3, Mat4, Quat, Vec2, Vec3, Vec4};
 pub use morton::{MORTON_AXIS_BITS, MortonCode, RootCube};
 pub use octahedral::{
     decode_octahedral, decode_octahedral20, decode_octahedral24, encode_octahedral,

@@ -24,6 +24,7 @@ pub use bake::report::{BakeReport, BytesPerSurfel, PhaseReport};
 pub use bake::request::{BakeRequest, NormalsChoice};
 pub use budget::resident::{peak_resident_bytes, resident_bytes};
 pub use budget::split::MemorySplit;
+pub use cli::output_path::check_suffix;
 pub use cli::progress::{Phase, Progress, ProgressMode, Verbosity};
 pub use error::PbgiError;
 pub use frame::camera_choice::CameraChoice;
@@ -45,7 +46,8 @@ pub use shade::check::{AloneReport, CheckReport};
 pub use shade::statistics::{CacheReport, CutReport, LevelReport};
 pub use shade::target::TargetReport;
 pub use shade::{
-    EnvironmentSpec, GlossSettings, LightSource, ShadeReport, ShadeSettings, StoreSettings,
+    EnvironmentSpec, GlossSettings, LightSource, LoadedEnvironment, ShadeReport, ShadeSettings,
+    StoreSettings,
 };
 
 /// The example of the README, which must compile.

@@ -1,5 +1,6 @@
 //! The cube raster: which samples are covered and how far away, and the radiance of each texel.
 
+use crate::far::{FAR_PLANES, FarBlend, FarField};
 use crate::footprint::project_box;
 use crate::lanes::{Lanes, SAMPLES};
 use crate::samples::{Veil, offset_sum, place, sample_near};
@@ -44,6 +45,10 @@ pub struct TexelChunk {
     pub open_offset: [[f32; LANES]; 2],
     /// Radiance of the surfaces, weighted by the share of the texel they show, and by the cosine where they show it over the texel's mean.
     pub radiance: [[f32; LANES]; 3],
+    /// Radiance of the surfaces behind, weighted by the share of the texel they show.
+    pub far_radiance: [[f32; LANES]; 3],
+    /// Where in the texel that light comes from on the mean, along u and v, −1..=1 from border to border.
+    pub far_offset: [[f32; LANES]; 2],
 }
 
 /// Texels of a face.
@@ -70,27 +75,16 @@ impl Footprint {
     }
 }
 
-/// Coverage of a texel.
-#[derive(Clone, Copy, Debug, Default)]
-struct Texel {
-    /// Samples covered, and those below the horizon.
-    covered: u16,
-    /// Samples above the horizon.
-    above: u16,
-}
-
-impl Texel {
-    /// [`TexelChunk::open_offset`] of one texel.
-    #[inline(always)]
-    fn open_offset(&self) -> [f32; 2] {
-        let open = !self.covered;
-        if open == 0 || open == self.above {
-            return [0.0; 2];
-        }
-        let share = open.count_ones() as f32 / self.above.count_ones() as f32;
-        let (open, above) = (offset_sum(open), offset_sum(self.above));
-        [0, 1].map(|axis| (open[axis] - share * above[axis]) / SAMPLES as f32)
+/// How far the middle of a texel's open samples lies from the middle of those above the horizon, times the open share of the whole texel
+/// ([`TexelChunk::open_offset`]).
+#[inline(always)]
+fn open_offset(open: u16, above: u16) -> [f32; 2] {
+    if open == 0 || open == above {
+        return [0.0; 2];
     }
+    let share = open.count_ones() as f32 / above.count_ones() as f32;
+    let (open, above) = (offset_sum(open), offset_sum(above));
+    [0, 1].map(|axis| (open[axis] - share * above[axis]) / SAMPLES as f32)
 }
 
 /// How something varies over a texel: relative to its mean above the horizon, and linear.
@@ -157,6 +151,57 @@ impl TexelTilt {
     }
 }
 
+/// The horizon of a normal on a face: n·D is linear there.
+#[derive(Clone, Copy, Debug)]
+struct FaceHorizon {
+    /// n·D in the middle of the face.
+    middle: f32,
+    /// What it changes by along u and v.
+    slopes: [f32; 2],
+    /// How much it varies around the middle of a texel.
+    reach: f32,
+}
+
+impl FaceHorizon {
+    #[inline(always)]
+    fn new(normal: Vec3, face: CubeFace, step: f32) -> Self {
+        let [ua, va] = face.uv_axes();
+        let slopes = [normal[ua], normal[va]];
+        let reach = 0.5 * step * (slopes[0].abs() + slopes[1].abs());
+        Self { middle: normal[face.axis()] * face.sign(), slopes, reach }
+    }
+
+    /// Samples above it.
+    #[inline(always)]
+    fn above<L: Lanes>(&self, x: L, y: L) -> u16 {
+        let [nu, nv] = self.slopes;
+        let height = L::splat(self.middle).add(L::splat(nu).mul(x)).add(L::splat(nv).mul(y));
+        !L::bits(height.le(L::splat(0.0)))
+    }
+
+    /// Of a row of `n` texels at `v`: first and one past the last column that are wholly above, and the same of those not wholly below. By
+    /// one column more than there may be between the two on either side, for rounding.
+    #[inline(always)]
+    fn columns(&self, v: f32, step: f32, n: usize) -> [[usize; 2]; 2] {
+        let [nu, nv] = self.slopes;
+        let middle = self.middle + nv * v;
+        if nu.abs() * n as f32 <= 1e-3 * self.reach {
+            let above = middle > 1.01 * self.reach;
+            let below = middle < -1.01 * self.reach;
+            return [[0, if above { n } else { 0 }], [0, if below { 0 } else { n }]];
+        }
+        // Column c, with its middle at (c + ½) step − 1, is wholly above where nu u ≥ reach − middle.
+        let column = |height: f32| ((height - middle) / nu + 1.0) / step - 0.5;
+        let index = |c: f32| (c.clamp(0.0, n as f32)) as usize;
+        let (whole, touched) = (column(self.reach), column(-self.reach));
+        if nu > 0.0 {
+            [[index(whole + 2.0), n], [index(touched - 1.0), n]]
+        } else {
+            [[0, index(whole - 1.0)], [0, index(touched + 2.0)]]
+        }
+    }
+}
+
 /// Samples of a texel that a piece met.
 #[derive(Clone, Copy, Debug)]
 struct Hit {
@@ -191,10 +236,16 @@ pub struct CubeRaster {
     lamp_radiance: f32,
     lamp_irradiance: [f32; 3],
     normal: Vec3,
-    texels: Vec<Texel>,
+    /// Whose samples are weighed: without a horizon nobody's, and light keeps its place in the texel.
+    has_horizon: bool,
+    /// Samples of each texel that are covered, and those below the horizon.
+    covered: Vec<u16>,
+    /// Samples of each texel above the horizon.
+    above: Vec<u16>,
+    /// Valid where `lit` says so.
     lights: Vec<TexelLight>,
-    /// Empty where no piece shines.
-    tilts: Vec<TexelTilt>,
+    /// Texels that hold light, one bit each, per row of each face.
+    lit: Vec<u64>,
     /// Inverse depth along the face's axis of what covers each sample.
     depths: Vec<[f32; SAMPLES]>,
     /// Texels that are not wholly covered, one bit each, per row of each face.
@@ -224,9 +275,11 @@ impl CubeRaster {
             lamp_radiance: f32::INFINITY,
             lamp_irradiance: [0.0; 3],
             normal: Vec3::Z,
-            texels: vec![Texel::default(); 6 * n * stride],
-            lights: vec![TexelLight::NONE; 6 * n * stride],
-            tilts: vec![TexelTilt::default(); if shines { 6 * n * stride } else { 0 }],
+            has_horizon: true,
+            covered: vec![ALL; 6 * n * stride],
+            above: vec![0; 6 * n * stride],
+            lights: vec![TexelLight::NONE; if shines { 6 * n * stride } else { 0 }],
+            lit: vec![0; 6 * n],
             depths: vec![[0.0; SAMPLES]; 6 * n * stride],
             open: vec![0; 6 * n],
             scale: 0.5 * n as f32,
@@ -250,44 +303,107 @@ impl CubeRaster {
     /// start.
     #[inline(always)]
     pub fn clear<L: Lanes>(&mut self, normal: Vec3) {
-        if self.shines {
-            self.lights.fill(TexelLight::NONE);
-            self.lamp_irradiance = [0.0; 3];
-        }
+        self.clear_above::<L>(normal, normal);
+    }
+
+    /// The same for a receiver whose surface has another `plane` than the normal it is shaded with: samples below either count as covered.
+    #[inline(always)]
+    pub fn clear_above<L: Lanes>(&mut self, normal: Vec3, plane: Vec3) {
+        self.lit.fill(0);
+        self.lamp_irradiance = [0.0; 3];
         self.normal = normal;
-        let step = self.step;
+        self.has_horizon = true;
         for face in CubeFace::ALL {
-            let [ua, va] = face.uv_axes();
-            let (na, nu, nv) = (normal[face.axis()] * face.sign(), normal[ua], normal[va]);
-            // n·D is linear on a face; over a texel it varies by this much around the middle.
-            let reach = 0.5 * step * (nu.abs() + nv.abs());
+            let horizon = FaceHorizon::new(normal, face, self.step);
+            let own = (plane != normal).then(|| FaceHorizon::new(plane, face, self.step));
             for row in 0..self.n {
-                let v = (row as f32 + 0.5) * step - 1.0;
-                let row_index = usize::from(face.0) * self.n + row;
-                let mut bits = 0u64;
-                for column in 0..self.n {
-                    let u = (column as f32 + 0.5) * step - 1.0;
-                    let middle = na + nu * u + nv * v;
-                    let above = if middle >= reach {
-                        ALL
-                    } else if middle <= -reach {
-                        0
-                    } else {
-                        let (x, y) = (self.sample_columns::<L>(column), self.sample_rows::<L>(row));
-                        let height = L::splat(na).add(L::splat(nu).mul(x)).add(L::splat(nv).mul(y));
-                        !L::bits(height.le(L::splat(0.0)))
-                    };
-                    bits |= u64::from(above != 0) << column;
-                    let index = row_index * self.stride + column;
-                    self.texels[index] = Texel { covered: !above, above };
-                    if self.shines && above != 0 {
-                        let tilt = TexelTilt::new(middle, [nu, nv], [u, v], 0.5 * step, above);
-                        self.tilts[index] = tilt;
-                    }
-                }
-                self.open[row_index] = bits;
+                self.clear_row::<L>(face, row, &horizon, own.as_ref());
             }
         }
+    }
+
+    /// Empties a row of texels: columns that are wholly above the horizon, and above the receiver's own plane where that is another; columns that
+    /// are wholly below the horizon, and the few between.
+    #[inline(always)]
+    fn clear_row<L: Lanes>(
+        &mut self,
+        face: CubeFace,
+        row: usize,
+        horizon: &FaceHorizon,
+        own: Option<&FaceHorizon>,
+    ) {
+        let (n, row_index) = (self.n, usize::from(face.0) * self.n + row);
+        let v = (row as f32 + 0.5) * self.step - 1.0;
+        let [mut whole, touched] = horizon.columns(v, self.step, n);
+        if let Some(own) = own {
+            let [above, _] = own.columns(v, self.step, n);
+            whole = [whole[0].max(above[0]), whole[1].min(above[1])];
+        }
+        let start = row_index * self.stride;
+        self.covered[start..start + n].fill(ALL);
+        self.above[start..start + n].fill(0);
+        // Rows are at most 64 wide.
+        let mut bits = 0u64;
+        if whole[0] < whole[1] {
+            self.covered[start + whole[0]..start + whole[1]].fill(0);
+            self.above[start + whole[0]..start + whole[1]].fill(ALL);
+            bits = (u64::MAX >> (64 - (whole[1] - whole[0]))) << whole[0];
+        }
+        let is_between = |column: &usize| !(whole[0]..whole[1]).contains(column);
+        for column in (touched[0]..touched[1]).filter(is_between) {
+            let (x, y) = (self.sample_columns::<L>(column), self.sample_rows::<L>(row));
+            let index = start + column;
+            let above = horizon.above(x, y);
+            let mut open = above;
+            if let Some(own) = own {
+                open &= own.above(x, y);
+                // The own plane hides whatever is drawn there.
+                L::splat(f32::MAX).store_where(above & !open, &mut self.depths[index]);
+            }
+            bits |= u64::from(open != 0) << column;
+            (self.covered[index], self.above[index]) = (!open, above);
+        }
+        self.open[row_index] = bits;
+    }
+
+    /// Empties the raster for a place that stands for many receivers: nothing is below a horizon, and light keeps its place in the texel. Texels
+    /// for which `is_needed` is false, by their index in memory, count as covered.
+    #[inline(always)]
+    pub fn clear_all_around(&mut self, is_needed: &[bool]) {
+        self.lit.fill(0);
+        self.has_horizon = false;
+        for row in 0..6 * self.n {
+            let mut bits = 0;
+            for column in 0..self.n {
+                let index = row * self.stride + column;
+                let needed = is_needed[index];
+                self.covered[index] = if needed { 0 } else { ALL };
+                self.above[index] = ALL;
+                bits |= u64::from(needed) << column;
+            }
+            self.open[row] = bits;
+        }
+    }
+
+    /// The light of a texel, to add to.
+    #[inline(always)]
+    fn light(&mut self, index: usize, row_index: usize, column: usize) -> &mut TexelLight {
+        let (bit, row) = (1u64 << column, &mut self.lit[row_index]);
+        if *row & bit == 0 {
+            *row |= bit;
+            self.lights[index] = TexelLight::NONE;
+        }
+        &mut self.lights[index]
+    }
+
+    /// What light weighs in the parts of a texel, for the receiver's normal.
+    #[inline(always)]
+    fn tilt(&self, face: CubeFace, row: usize, column: usize, above: u16) -> TexelTilt {
+        let [ua, va] = face.uv_axes();
+        let normal = self.normal;
+        let (na, nu, nv) = (normal[face.axis()] * face.sign(), normal[ua], normal[va]);
+        let [u, v] = [column, row].map(|i| (i as f32 + 0.5) * self.step - 1.0);
+        TexelTilt::new(na + nu * u + nv * v, [nu, nv], [u, v], 0.5 * self.step, above)
     }
 
     /// Face coordinate u of the samples of the texels in a column.
@@ -382,10 +498,27 @@ impl CubeRaster {
     /// Adds the light of a piece that met `met` samples in all to a texel in which it met some.
     #[inline(always)]
     fn shine(&mut self, hit: &Hit, ink: &Ink, met: u32, toward: Vec3) {
-        let index = hit.index as usize;
-        let above = self.texels[index].above.count_ones() as f32;
+        let (index, column) = (hit.index as usize, usize::from(hit.column));
+        let row_index = usize::from(hit.face) * self.n + usize::from(hit.row);
+        let above = self.above[index];
         let count = hit.visible.count_ones();
-        if self.is_lamp(ink) && ink.solid_angle < LARGE_LAMP_SR {
+        let is_lamp = self.is_lamp(ink) && ink.solid_angle < LARGE_LAMP_SR;
+        let per_sample = ink.solid_angle * self.inverse_solid_angles[index] / met as f32;
+        let by_solid_angle = count as f32 * per_sample * SAMPLES as f32;
+        if !self.has_horizon {
+            let is_small = is_lamp || ink.solid_angle < SMALL_SR;
+            let (samples, shown) = if is_small {
+                (by_solid_angle, hit.visible)
+            } else {
+                (hit.new.count_ones() as f32, hit.new)
+            };
+            let inverse = 1.0 / larger_than_zero(shown.count_ones() as f32);
+            let place = offset_sum(shown).map(|sum| sum * inverse);
+            let light = self.light(index, row_index, column);
+            light.add_at(samples / SAMPLES as f32, &ink.radiance, place, is_lamp);
+            return;
+        }
+        if is_lamp {
             let solid_angle = ink.solid_angle * count as f32 / met as f32;
             // Where it met samples of one texel only, their places say less of it than its own.
             let cosine = if count == met && toward != Vec3::ZERO {
@@ -393,29 +526,35 @@ impl CubeRaster {
             } else {
                 self.cosine_in(hit, offset_sum(hit.visible).map(|sum| sum / count as f32))
             };
-            self.shine_lamp(index, solid_angle, cosine, &ink.radiance);
+            self.shine_lamp([index, row_index, column], solid_angle, cosine, &ink.radiance);
             return;
         }
-        let tilt = &self.tilts[index];
+        let tilt = self.tilt(CubeFace(hit.face), usize::from(hit.row), column, above);
         let samples = if ink.solid_angle < SMALL_SR {
-            let per_sample = ink.solid_angle * self.inverse_solid_angles[index] / met as f32;
-            count as f32 * per_sample * SAMPLES as f32 * tilt.cosine.mean(hit.visible)
+            by_solid_angle * tilt.cosine.mean(hit.visible)
         } else {
             hit.new.count_ones() as f32 * tilt.sample.mean(hit.new)
         };
-        self.lights[index].add(samples / larger_than_zero(above), &ink.radiance);
+        let share = samples / larger_than_zero(above.count_ones() as f32);
+        self.light(index, row_index, column).add(share, &ink.radiance);
     }
 
     /// Adds the light of a lamp that shows this solid angle in a texel, at this cosine: it counts as it is, whatever the texel's size.
     #[inline(always)]
-    fn shine_lamp(&mut self, index: usize, solid_angle: f32, cosine: f32, radiance: &[f32; 3]) {
+    fn shine_lamp(
+        &mut self,
+        [index, row_index, column]: [usize; 3],
+        solid_angle: f32,
+        cosine: f32,
+        radiance: &[f32; 3],
+    ) {
         let weight = solid_angle * crate::larger(cosine, 0.0);
         for (sum, light) in self.lamp_irradiance.iter_mut().zip(radiance) {
             *sum += weight * light;
         }
-        let above = self.texels[index].above.count_ones() as f32;
+        let above = self.above[index].count_ones() as f32;
         let texel = self.inverse_solid_angles[index] * SAMPLES as f32 / larger_than_zero(above);
-        self.lights[index].add_lamp(solid_angle * texel);
+        self.light(index, row_index, column).add_lamp(solid_angle * texel);
     }
 
     /// Cosine to the receiver's normal at a place of a texel, −1..=1 from border to border.
@@ -473,8 +612,7 @@ impl CubeRaster {
                         continue;
                     }
                     met_here += met.count_ones();
-                    let texel = &mut self.texels[index];
-                    let before = texel.covered;
+                    let before = self.covered[index];
                     if !self.shines && before == ALL {
                         continue;
                     }
@@ -483,7 +621,7 @@ impl CubeRaster {
                     let new = covered & !before;
                     if self.shines {
                         let hidden = before & L::bits(w.mul(nearer).le(L::load(depths)));
-                        let visible = met & texel.above & !hidden;
+                        let visible = met & self.above[index] & !hidden;
                         if visible | new != 0 {
                             self.hits.push(Hit {
                                 index: index as u32,
@@ -501,8 +639,8 @@ impl CubeRaster {
                         if self.shines {
                             w.store_where(new, depths);
                         }
-                        texel.covered = before | new;
-                        if texel.covered == ALL {
+                        self.covered[index] = before | new;
+                        if before | new == ALL {
                             self.open[row_index] &= !(1 << (column - 1));
                         }
                     }
@@ -527,8 +665,8 @@ impl CubeRaster {
         let index = (usize::from(face.0) * self.n + row) * self.stride + column;
         let place_in_texel = [x - column as u32 as f32, y - row as u32 as f32];
         let sample = sample_near(place_in_texel[0], place_in_texel[1]);
-        let texel = self.texels[index];
-        if texel.above >> sample & 1 == 0 {
+        let (covered, above) = (self.covered[index], self.above[index]);
+        if above >> sample & 1 == 0 {
             return;
         }
         let place = |axis: usize| self.places[axis][sample as usize];
@@ -536,46 +674,118 @@ impl CubeRaster {
         let inverse = shape.turned(face).inverse();
         let w = inverse.x + inverse.y * su + inverse.z * sv;
         let is_hidden = w * (1.0 + ink.tolerance) <= self.depths[index][sample as usize];
-        if texel.covered >> sample & 1 != 0 && is_hidden {
+        if covered >> sample & 1 != 0 && is_hidden {
             return;
         }
-        if self.is_lamp(ink) {
+        let row_index = usize::from(face.0) * self.n + row;
+        let place_in_texel = place_in_texel.map(|x| 2.0 * x - 1.0);
+        let is_lamp = self.is_lamp(ink);
+        if !self.has_horizon {
+            let share = ink.solid_angle * self.inverse_solid_angles[index];
+            let light = self.light(index, row_index, column);
+            light.add_at(share, &ink.radiance, place_in_texel, is_lamp);
+            return;
+        }
+        if is_lamp {
             let cosine = self.normal.dot(toward) / toward.length();
-            self.shine_lamp(index, ink.solid_angle, cosine, &ink.radiance);
+            self.shine_lamp([index, row_index, column], ink.solid_angle, cosine, &ink.radiance);
             return;
         }
-        let above = texel.above.count_ones() as f32;
-        let whole = self.inverse_solid_angles[index] * SAMPLES as f32 / above;
-        let cosine = self.tilts[index].cosine.at(place_in_texel.map(|x| 2.0 * x - 1.0));
-        self.lights[index].add(ink.solid_angle * whole * cosine, &ink.radiance);
+        let whole = self.inverse_solid_angles[index] * SAMPLES as f32 / above.count_ones() as f32;
+        let cosine = self.tilt(face, row, column, above).cosine.at(place_in_texel);
+        let share = ink.solid_angle * whole * cosine;
+        self.light(index, row_index, column).add(share, &ink.radiance);
     }
 
     /// Share of texel `index` (in memory), above the horizon, that no surface covers.
     #[must_use]
     #[inline(always)]
     pub fn openness(&self, index: usize) -> f32 {
-        let texel = &self.texels[index];
-        let open = (!texel.covered).count_ones() as f32;
-        open / larger_than_zero(texel.above.count_ones() as f32)
+        let open = (!self.covered[index]).count_ones() as f32;
+        open / larger_than_zero(self.above[index].count_ones() as f32)
     }
 
-    /// Texels `8 index ..` in memory.
+    /// Texels `8 index ..` in memory, over what lies behind them; none where all of them are below the horizon.
     #[must_use]
     #[inline(always)]
-    pub fn chunk(&self, index: usize) -> TexelChunk {
+    pub fn chunk(&self, index: usize, behind: Option<&FarBlend<'_>>) -> Option<TexelChunk> {
+        let start = index * LANES;
+        let above: &[u16; LANES] = self.above[start..start + LANES].try_into().ok()?;
+        if *above == [0; LANES] {
+            return None;
+        }
+        let near: &[u16; LANES] = self.covered[start..start + LANES].try_into().ok()?;
         let mut chunk = TexelChunk::default();
-        for lane in 0..LANES {
-            let texel = &self.texels[index * LANES + lane];
-            chunk.covered[lane] = 1.0 - self.openness(index * LANES + lane);
-            let offset = texel.open_offset();
-            (chunk.open_offset[0][lane], chunk.open_offset[1][lane]) = (offset[0], offset[1]);
-            let light = &self.lights[index * LANES + lane];
-            let radiance = if texel.covered == ALL { light.made_whole() } else { light.radiance };
-            for (plane, light) in chunk.radiance.iter_mut().zip(radiance) {
-                plane[lane] = light;
+        let mut covered = *near;
+        if let Some(behind) = behind {
+            let far = behind.masks(start);
+            for lane in 0..LANES {
+                covered[lane] |= far[lane];
+            }
+            if behind.shines() {
+                let mut through = [0.0; LANES];
+                for lane in 0..LANES {
+                    through[lane] = share_of_rest(far[lane], above[lane], near[lane]);
+                }
+                (chunk.far_radiance, chunk.far_offset) = behind.light(start, &through);
             }
         }
-        chunk
+        for lane in 0..LANES {
+            let open = (!covered[lane]).count_ones() as f32;
+            chunk.covered[lane] = 1.0 - open / larger_than_zero(above[lane].count_ones() as f32);
+        }
+        for lane in 0..LANES {
+            // Texels that the horizon or an edge crosses are few.
+            if covered[lane] != ALL && covered[lane] != !above[lane] {
+                let offset = open_offset(!covered[lane], above[lane]);
+                (chunk.open_offset[0][lane], chunk.open_offset[1][lane]) = (offset[0], offset[1]);
+            }
+        }
+        let (row_index, column) = (start / self.stride, start % self.stride);
+        let lit = self.lit[row_index] >> column & ((1 << LANES) - 1);
+        if lit != 0 {
+            for lane in (0..LANES).filter(|lane| lit >> lane & 1 != 0) {
+                let light = &self.lights[start + lane];
+                let whole = near[lane] == ALL;
+                let radiance = if whole { light.made_whole() } else { light.radiance };
+                for (plane, light) in chunk.radiance.iter_mut().zip(radiance) {
+                    plane[lane] = light;
+                }
+            }
+        }
+        Some(chunk)
+    }
+
+    /// What a place that stands for many receivers sees, to lie behind what is nearer to them, over what lies behind it in turn.
+    #[inline(always)]
+    pub fn far_field(&self, behind: Option<&FarBlend<'_>>, out: &mut FarField) {
+        out.resize(self.covered.len(), self.shines);
+        for start in (0..self.covered.len()).step_by(LANES) {
+            let near = &self.covered[start..start + LANES];
+            let lit = self.lit[start / self.stride] >> (start % self.stride) & ((1 << LANES) - 1);
+            let mut masks: [u16; LANES] = std::array::from_fn(|lane| near[lane]);
+            let mut light = [[0.0; LANES]; FAR_PLANES];
+            if let Some(behind) = behind {
+                let far = behind.masks(start);
+                if behind.shines() {
+                    let mut through = [0.0; LANES];
+                    for lane in 0..LANES {
+                        through[lane] = share_of_rest(far[lane], ALL, near[lane]);
+                    }
+                    light = behind.planes(start, &through);
+                }
+                for lane in 0..LANES {
+                    masks[lane] |= far[lane];
+                }
+            }
+            for lane in (0..LANES).filter(|lane| lit >> lane & 1 != 0) {
+                let own = self.lights[start + lane].spread(near[lane] == ALL);
+                for (plane, own) in light.iter_mut().zip(own) {
+                    plane[lane] += own;
+                }
+            }
+            out.set(start, &masks, &light);
+        }
     }
 
     /// Whether any piece may carry light.
@@ -590,6 +800,17 @@ impl CubeRaster {
 #[inline(always)]
 fn smaller_index(a: usize, b: usize) -> usize {
     if a < b { a } else { b }
+}
+
+/// Share of the light behind a texel that its own covered samples let through: light comes from the samples that are covered behind, of those
+/// above the horizon, or where there are none from all.
+#[inline(always)]
+fn share_of_rest(far: u16, above: u16, near: u16) -> f32 {
+    if near & above == 0 {
+        return 1.0;
+    }
+    let from = if far & above != 0 { far & above } else { above };
+    (from & !near).count_ones() as f32 / larger_than_zero(from.count_ones() as f32)
 }
 
 /// A count to divide by.

@@ -4,6 +4,7 @@
 #![deny(unsafe_code)]
 
 mod cube;
+mod far;
 mod footprint;
 mod lanes;
 mod lobe;
@@ -15,6 +16,7 @@ mod texel_light;
 mod window;
 
 pub use cube::{CubeRaster, Footprint, Ink, SHAPES_MAX, TexelChunk};
+pub use far::{FAR_PLACES_MAX, FarBlend, FarField};
 pub use lanes::{Lanes, SAMPLES};
 pub use lobe::{LobeInk, LobeRaster};
 pub use samples::Veil;

@@ -1,8 +1,11 @@
 //! Images as textures.
 
-use crate::{SceneError, Texture};
-use image::ImageDecoder;
+use image::{ImageDecoder, ImageFormat, ImageReader, RgbaImage};
+use std::io::Cursor;
 use std::path::Path;
+
+/// Kinds of images that are read, for messages.
+pub(crate) const IMAGE_KINDS: &str = "png, jpeg, webp, bmp or tga";
 
 /// What an image takes, by its header.
 #[derive(Clone, Copy, Debug)]
@@ -19,11 +22,9 @@ const HELD_BYTES: u64 = 6;
 const WORKING_BYTES: u64 = 6;
 
 impl TextureSize {
-    /// Reads the header of an image.
-    pub fn of(path: &Path, place: &str, bytes: &[u8]) -> Result<Self, SceneError> {
-        let reader = reader_of(path, place, bytes)?;
-        let decoder = reader.into_decoder();
-        let decoder = decoder.map_err(|e| SceneError::malformed(path, format!("{place}: {e}")))?;
+    /// Reads the header of an image; name and error are those of [`decode_image`].
+    pub fn of(name: &str, bytes: &[u8]) -> Result<Self, String> {
+        let decoder = reader_of(name, bytes)?.into_decoder().map_err(not_decoded)?;
         let (width, height) = decoder.dimensions();
         Ok(Self { texels: u64::from(width) * u64::from(height), bytes: decoder.total_bytes() })
     }
@@ -39,41 +40,42 @@ impl TextureSize {
     }
 }
 
-fn reader_of<'b>(
-    path: &Path,
-    place: &str,
-    bytes: &'b [u8],
-) -> Result<image::ImageReader<std::io::Cursor<&'b [u8]>>, SceneError> {
-    let format = image::guess_format(bytes)
-        .ok()
-        .filter(|f| matches!(f, image::ImageFormat::Png | image::ImageFormat::Jpeg));
-    let Some(format) = format else {
-        let what = format!("{place}: an image that is neither png nor jpeg");
-        return Err(SceneError::unsupported(path, what, "convert its images to png"));
-    };
-    Ok(image::ImageReader::with_format(std::io::Cursor::new(bytes), format))
+fn not_decoded(error: image::ImageError) -> String {
+    format!("it cannot be decoded ({error})")
 }
 
-/// Decodes a PNG or JPEG image. Alpha becomes 1 unless `keeps_alpha`; `srgb` says how the color bytes
-/// are encoded; `place` is for messages.
-pub(crate) fn decode_texture(
-    path: &Path,
-    place: &str,
-    bytes: &[u8],
-    keeps_alpha: bool,
-    srgb: bool,
-) -> Result<Texture, SceneError> {
+fn reader_of<'b>(name: &str, bytes: &'b [u8]) -> Result<ImageReader<Cursor<&'b [u8]>>, String> {
+    let extension = Path::new(name).extension().unwrap_or_default();
+    let format = match image::guess_format(bytes) {
+        Ok(format) => Some(format),
+        Err(_) if extension.eq_ignore_ascii_case("tga") => Some(ImageFormat::Tga),
+        Err(_) => None,
+    };
+    let read = [
+        ImageFormat::Png,
+        ImageFormat::Jpeg,
+        ImageFormat::WebP,
+        ImageFormat::Bmp,
+        ImageFormat::Tga,
+    ];
+    let format = format
+        .filter(|format| read.contains(format))
+        .ok_or_else(|| format!("it is neither {IMAGE_KINDS}; convert it to png"))?;
+    Ok(ImageReader::with_format(Cursor::new(bytes), format))
+}
+
+/// Decodes an image of one of [`IMAGE_KINDS`]; `name` tells files of tga, which have no mark. The error says what is wrong with it.
+pub(crate) fn decode_image(name: &str, bytes: &[u8]) -> Result<RgbaImage, String> {
     // The reader bounds what a header may make it allocate.
-    let decoded = reader_of(path, place, bytes)?
-        .decode()
-        .map_err(|e| SceneError::malformed(path, format!("{place}: {e}")))?
-        .into_rgba8();
-    let (width, height) = decoded.dimensions();
-    let mut texels: Vec<[u8; 4]> = bytemuck::allocation::try_cast_vec(decoded.into_raw())
-        .unwrap_or_else(|(_, bytes)| bytes.as_chunks().0.to_vec());
-    if !keeps_alpha {
-        texels.iter_mut().for_each(|texel| texel[3] = 255);
+    let decoded = reader_of(name, bytes)?.decode().map_err(not_decoded)?.into_rgba8();
+    if decoded.width() == 0 || decoded.height() == 0 {
+        return Err("it has no pixels".into());
     }
-    Texture::new(width, height, texels, srgb)
-        .ok_or_else(|| SceneError::malformed(path, format!("{place} has no pixels")))
+    Ok(decoded)
+}
+
+/// The texels of an image, in its place where that can be.
+pub(crate) fn texels_of(image: RgbaImage) -> Vec<[u8; 4]> {
+    bytemuck::allocation::try_cast_vec(image.into_raw())
+        .unwrap_or_else(|(_, bytes)| bytes.as_chunks().0.to_vec())
 }

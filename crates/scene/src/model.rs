@@ -15,6 +15,8 @@ pub struct Mesh {
     pub uvs: Vec<Vec2>,
     /// Linear vertex colors that multiply the base color, empty or one per vertex.
     pub colors: Vec<[f32; 3]>,
+    /// Alpha of the vertices, which multiplies that of the base color, empty or one per vertex.
+    pub alphas: Vec<f32>,
     /// Vertex indices, counterclockwise seen from the front.
     pub triangles: Vec<[u32; 3]>,
     /// Index into [`Scene::materials`].
@@ -59,7 +61,7 @@ pub struct Material {
     /// Strength of the gloss where it is no metal, 0..=1: 0.08 of it is reflected at normal incidence.
     pub specular: f32,
     /// Base color alpha below this is a hole; `None` for an opaque material. The alpha is that of the
-    /// base color texture, 1 without one.
+    /// base color texture, 1 without one, times that of the vertices.
     pub alpha_cutoff: Option<f32>,
     /// Lit and visible from both sides.
     pub double_sided: bool,

@@ -2,8 +2,11 @@
 
 mod mtl;
 
+use crate::polygon::Triangulator;
 use crate::resources::Resources;
+use crate::texture::display_to_linear;
 use crate::{Instance, Material, Mesh, Scene, SceneError};
+use pbgi_cloud::parse_number;
 use pbgi_file::open_input;
 use pbgi_math::{Affine3A, Vec2, Vec3};
 use std::collections::{BTreeMap, HashMap};
@@ -21,9 +24,46 @@ const LINES_BETWEEN_CHECKS: u64 = 4096;
 const VERTEX_BYTES: usize = size_of::<Vec3>();
 const CORNER_BYTES: usize = 3 * size_of::<Corner>() + 4 * VERTEX_BYTES;
 
-/// Reads an OBJ file: one mesh and one instance per material. Polygons become fans of triangles;
-/// lines, points, curves and smoothing groups are left out. Vertex colors after the position are
-/// taken as linear. A missing MTL file or material is a warning.
+/// Keywords that say nothing about shape or light, or belong to lines that are left out.
+const SILENT_KEYWORDS: [&str; 33] = [
+    "g",
+    "o",
+    "s",
+    "vp",
+    "mg",
+    "bevel",
+    "c_interp",
+    "d_interp",
+    "lod",
+    "shadow_obj",
+    "trace_obj",
+    "ctech",
+    "stech",
+    "maplib",
+    "cstype",
+    "deg",
+    "bmat",
+    "step",
+    "end",
+    "parm",
+    "trim",
+    "hole",
+    "scrv",
+    "sp",
+    "con",
+    "bsp",
+    "bzp",
+    "cdc",
+    "cdp",
+    "res",
+    "csh",
+    "bmat",
+    "version",
+];
+
+/// Reads an OBJ file: one mesh and one instance per material, or more where some of its faces lack texture coordinates or normals.
+/// Polygons are cut into triangles; lines, points, curves and smoothing groups are left out. Vertex colors after the position are
+/// those of a display. A missing MTL file or material is a warning.
 pub(crate) fn read_obj(path: &Path, resources: &Resources) -> Result<Scene, SceneError> {
     let mut obj = Obj::default();
     read_lines(path, |number, keyword, rest| {
@@ -42,8 +82,8 @@ pub(crate) fn read_obj(path: &Path, resources: &Resources) -> Result<Scene, Scen
     Ok(obj.into_scene())
 }
 
-/// Calls `visit` with line number (from 1), first word and rest of each line that is neither empty
-/// nor a comment. A backslash at its end continues a line.
+/// Calls `visit` with line number (from 1), first word in lower case, and rest of each line that is neither empty
+/// nor a comment. A backslash at its end continues a line; a byte order mark before the first is skipped.
 fn read_lines(
     path: &Path,
     mut visit: impl FnMut(u64, &str, &str) -> Result<(), SceneError>,
@@ -56,6 +96,9 @@ fn read_lines(
         let read = reader.by_ref().take(room).read_until(b'\n', &mut line);
         let read = read.map_err(|e| SceneError::io(path, "read", e))?;
         number += 1;
+        if number == 1 {
+            skip_byte_order_mark(path, &mut line)?;
+        }
         if line.len() as u64 == LINE_BYTES_MAX {
             let message = format!("line {number} is longer than {LINE_BYTES_MAX} bytes");
             return Err(SceneError::malformed(path, message));
@@ -72,7 +115,7 @@ fn read_lines(
         let (keyword, rest) =
             text.trim().split_once(char::is_whitespace).unwrap_or((text.trim(), ""));
         if !keyword.is_empty() && !keyword.starts_with('#') {
-            visit(number, keyword, rest.trim())?;
+            visit(number, &keyword.to_ascii_lowercase(), rest.trim())?;
         }
         if read == 0 {
             return Ok(());
@@ -81,10 +124,24 @@ fn read_lines(
     }
 }
 
+fn skip_byte_order_mark(path: &Path, line: &mut Vec<u8>) -> Result<(), SceneError> {
+    if line.starts_with(&[0xff, 0xfe]) || line.starts_with(&[0xfe, 0xff]) {
+        return Err(SceneError::unsupported(path, "text in UTF-16", "save it as UTF-8"));
+    }
+    if line.starts_with("\u{feff}".as_bytes()) {
+        line.drain(..3);
+    }
+    Ok(())
+}
+
 /// A corner of a face: position, and texture coordinates and normal if it has them.
 type Corner = (u32, Option<u32>, Option<u32>);
 
-/// The faces of one material, vertices shared where all three indices agree.
+/// What the faces of a part have in common: their material, `None` before the first `usemtl`, and whether all their corners have
+/// texture coordinates, and normals.
+type PartKey = (Option<String>, bool, bool);
+
+/// Faces of one material, vertices shared where all three indices agree.
 #[derive(Default)]
 struct Part {
     corners: Vec<Corner>,
@@ -95,21 +152,34 @@ struct Part {
 /// What has been read so far.
 #[derive(Default)]
 struct Obj {
+    /// Those that are not finite may not be used.
     positions: Vec<Vec3>,
-    /// Empty, or one per position.
+    /// Empty, or one per position, as written.
     colors: Vec<[f32; 3]>,
     uvs: Vec<Vec2>,
     normals: Vec<Vec3>,
     library: mtl::Library,
-    /// Index into `parts` by name of the material; `None` before the first `usemtl`.
-    part_numbers: HashMap<Option<String>, usize>,
+    /// Index into `parts`.
+    part_numbers: HashMap<PartKey, usize>,
     /// In order of appearance.
-    parts: Vec<(Option<String>, Part)>,
+    parts: Vec<(PartKey, Part)>,
     material: Option<String>,
+    triangulator: Triangulator,
+    /// The face under way.
+    corners: Vec<Corner>,
+    outline: Vec<Vec3>,
+    /// Texture coordinates and normals that corners name and the file does not have.
+    missing_uvs: u64,
+    bad_uvs: u64,
+    missing_normals: u64,
     ignored: BTreeMap<&'static str, u64>,
     /// Bytes taken of the scene's memory.
     taken_bytes: u64,
+    unknown: BTreeMap<String, u64>,
 }
+
+/// Most unknown keywords that are told apart.
+const UNKNOWN_MAX: usize = 20;
 
 impl Obj {
     /// Takes what has come to be held since it was last called.
@@ -136,11 +206,17 @@ impl Obj {
         match keyword {
             "v" => self.read_position(rest)?,
             "vt" => {
-                let [u, v] = read_floats(rest, [f32::NAN, 0.0])?;
+                let [u] = read_any_floats(rest)?;
+                let v = read_any_floats::<2>(rest).map_or(0.0, |[_, v]| v);
                 // Row 0 of our textures is at the top, v = 0 of theirs at the bottom.
-                self.uvs.push(Vec2::new(u, 1.0 - v));
+                let uv = Vec2::new(u, 1.0 - v);
+                self.bad_uvs += u64::from(!uv.is_finite());
+                self.uvs.push(if uv.is_finite() { uv } else { Vec2::ZERO });
             }
-            "vn" => self.normals.push(Vec3::from_array(read_floats(rest, [f32::NAN; 3])?)),
+            "vn" => {
+                let normal = Vec3::from_array(read_any_floats(rest)?);
+                self.normals.push(normal.try_normalize().unwrap_or(Vec3::ZERO));
+            }
             "f" | "fo" => self.read_face(rest)?,
             "usemtl" => self.material = Some(rest.to_owned()),
             "mtllib" => self.library.read(path, rest, resources),
@@ -149,19 +225,25 @@ impl Obj {
             "curv" | "curv2" | "surf" => {
                 *self.ignored.entry("curves and curved surfaces").or_default() += 1;
             }
+            "call" => *self.ignored.entry("calls of other files").or_default() += 1,
+            "usemap" => *self.ignored.entry("texture maps of `usemap`").or_default() += 1,
+            _ if SILENT_KEYWORDS.contains(&keyword) => {}
+            _ if self.unknown.len() < UNKNOWN_MAX || self.unknown.contains_key(keyword) => {
+                *self.unknown.entry(keyword.chars().take(40).collect()).or_default() += 1;
+            }
             _ => {}
         }
         Ok(())
     }
 
     fn read_position(&mut self, rest: &str) -> Result<(), String> {
-        let words = rest.split_ascii_whitespace().count();
-        let position = Vec3::from_array(read_floats(rest, [f32::NAN; 3])?);
-        if words >= 6 {
+        let position = Vec3::from_array(read_any_floats(rest)?);
+        let words = rest.split_ascii_whitespace().take_while(|word| !word.starts_with('#'));
+        if words.count() >= 6 {
             // Colors may begin anywhere in the file; what came before is white.
             self.colors.resize(self.positions.len(), [1.0; 3]);
-            let [.., r, g, b] = read_floats(rest, [f32::NAN; 6])?;
-            self.colors.push([r, g, b].map(|c| c.clamp(0.0, 1.0)));
+            let [.., r, g, b] = read_any_floats::<6>(rest)?;
+            self.colors.push([r, g, b].map(|c| if c.is_finite() { c.max(0.0) } else { 0.0 }));
         } else if !self.colors.is_empty() {
             self.colors.push([1.0; 3]);
         }
@@ -171,58 +253,141 @@ impl Obj {
 
     fn read_face(&mut self, rest: &str) -> Result<(), String> {
         let counts = [self.positions.len(), self.uvs.len(), self.normals.len()];
-        let corners: Result<Vec<Corner>, String> =
-            rest.split_ascii_whitespace().map(|word| read_corner(word, counts)).collect();
-        let corners = corners?;
-        if corners.len() < 3 {
-            return Err(format!("a face has {} corners, expected at least 3", corners.len()));
+        self.corners.clear();
+        self.outline.clear();
+        for word in rest.split_ascii_whitespace().take_while(|word| !word.starts_with('#')) {
+            let (corner, missing) = read_corner(word, counts)?;
+            let position = self.positions[corner.0 as usize];
+            if !position.is_finite() {
+                let number = corner.0 + 1;
+                return Err(format!("position {number} of corner `{word}` is not finite"));
+            }
+            self.missing_uvs += u64::from(missing[0]);
+            self.missing_normals += u64::from(missing[1]);
+            self.corners.push(corner);
+            self.outline.push(position);
         }
-        let number = match self.part_numbers.get(&self.material) {
+        if self.corners.len() < 3 {
+            *self.ignored.entry("faces of fewer than three corners").or_default() += 1;
+            return Ok(());
+        }
+        let has_uvs = self.corners.iter().all(|corner| corner.1.is_some());
+        let has_normals = self.corners.iter().all(|corner| corner.2.is_some());
+        let key = (self.material.clone(), has_uvs, has_normals);
+        let number = match self.part_numbers.get(&key) {
             Some(&number) => number,
             None => {
-                self.part_numbers.insert(self.material.clone(), self.parts.len());
-                self.parts.push((self.material.clone(), Part::default()));
+                self.part_numbers.insert(key.clone(), self.parts.len());
+                self.parts.push((key, Part::default()));
                 self.parts.len() - 1
             }
         };
         let part = &mut self.parts[number].1;
-        let vertices: Vec<u32> =
-            corners.into_iter().map(|corner| part.add_corner(corner)).collect();
-        part.triangles.extend(vertices[1..].windows(2).map(|w| [vertices[0], w[0], w[1]]));
+        let vertices: Vec<u32> = self
+            .corners
+            .iter()
+            .map(|&(position, uv, normal)| {
+                part.add_corner((position, uv.filter(|_| has_uvs), normal.filter(|_| has_normals)))
+            })
+            .collect();
+        self.triangulator
+            .triangulate(&self.outline, |t| part.triangles.push(t.map(|corner| vertices[corner])));
         Ok(())
     }
 
-    fn into_scene(self) -> Scene {
-        let mut scene = Scene { warnings: self.library.warnings, ..Scene::default() };
-        let left_out = |(name, count)| format!("{count} {name} are left out");
-        scene.warnings.extend(self.ignored.into_iter().map(left_out));
-        scene.textures = self.library.textures;
-        for (name, part) in &self.parts {
-            let material = name.as_ref().and_then(|name| {
-                let found = self.library.materials.iter().rev().find(|m| m.name == *name);
-                if found.is_none() {
-                    let text = "is not in any material library; a gray one is used";
-                    scene.warnings.push(format!("material {name} {text}"));
-                }
-                found
+    fn into_scene(mut self) -> Scene {
+        let mut scene = Scene { warnings: self.warnings(), ..Scene::default() };
+        self.decode_colors();
+        scene.textures = std::mem::take(&mut self.library.textures);
+        // Materials by name, in order of use; that of colored parts without one is white.
+        let mut materials: HashMap<&Option<String>, u32> = HashMap::new();
+        let mut untextured = 0;
+        for ((name, has_uvs, _), part) in &self.parts {
+            let material = *materials.entry(name).or_insert_with(|| {
+                scene.materials.push(self.find_material(name, &mut scene.warnings));
+                scene.materials.len() as u32 - 1
             });
-            let gray = || Material {
-                name: name.clone().unwrap_or_else(|| "default".into()),
-                ..Material::default()
-            };
-            let mesh = part.to_mesh(
-                [&self.positions, &self.normals],
-                &self.uvs,
-                &self.colors,
-                scene.materials.len() as u32,
-            );
+            let Material { base_color_texture, emission_texture, .. } =
+                &scene.materials[material as usize];
+            if !has_uvs && base_color_texture.or(*emission_texture).is_some() {
+                untextured += part.triangles.len();
+            }
+            let mesh =
+                part.to_mesh([&self.positions, &self.normals], &self.uvs, &self.colors, material);
             scene
                 .instances
                 .push(Instance { mesh: scene.meshes.len() as u32, transform: Affine3A::IDENTITY });
             scene.meshes.push(mesh);
-            scene.materials.push(material.cloned().unwrap_or_else(gray));
+        }
+        if untextured > 0 {
+            scene.warnings.push(format!(
+                "{untextured} triangles have a textured material but no texture coordinates; the texture is left out there"
+            ));
         }
         scene
+    }
+
+    /// The material called `name`, else one in other case, else a gray one, which vertex colors make white.
+    fn find_material(&self, name: &Option<String>, warnings: &mut Vec<String>) -> Material {
+        let base_color = match self.colors.is_empty() {
+            true => Material::default().base_color,
+            false => [1.0; 3],
+        };
+        let Some(name) = name else {
+            return Material { name: "default".into(), base_color, ..Material::default() };
+        };
+        let last = |is_it: &dyn Fn(&str) -> bool| {
+            self.library.materials.iter().rev().find(|material| is_it(&material.name))
+        };
+        let found =
+            last(&|own| own == name).or_else(|| last(&|own| own.eq_ignore_ascii_case(name)));
+        found.cloned().unwrap_or_else(|| {
+            let color = if self.colors.is_empty() { "a gray one is" } else { "vertex colors are" };
+            warnings.push(format!("material {name} is not in any material library; {color} used"));
+            Material { name: name.clone(), base_color, ..Material::default() }
+        })
+    }
+
+    fn warnings(&mut self) -> Vec<String> {
+        let mut warnings = std::mem::take(&mut self.library.warnings);
+        let left_out = |(name, count): (&&str, &u64)| format!("{count} {name} are left out");
+        warnings.extend(self.ignored.iter().map(left_out));
+        warnings.extend(self.unknown.iter().map(|(keyword, count)| {
+            format!("{count} lines that begin with `{keyword}` are not understood and left out")
+        }));
+        warnings.extend(self.triangulator.warnings());
+        if self.missing_uvs > 0 {
+            let count = self.missing_uvs;
+            warnings.push(format!(
+                "{count} corners of faces name texture coordinates that are not in the file; their faces have no texture"
+            ));
+        }
+        if self.bad_uvs > 0 {
+            let count = self.bad_uvs;
+            warnings.push(format!("{count} texture coordinates are not finite; 0 is used"));
+        }
+        if self.missing_normals > 0 {
+            let count = self.missing_normals;
+            warnings.push(format!(
+                "{count} corners of faces name normals that are not in the file; their faces are flat"
+            ));
+        }
+        let zero_count = self.normals.iter().filter(|normal| **normal == Vec3::ZERO).count();
+        if zero_count > 0 {
+            warnings.push(format!(
+                "{zero_count} normals have no direction; those of their faces are used there"
+            ));
+        }
+        warnings
+    }
+
+    /// Makes colors linear: they are those of a display, from 0 to 1, or to 255 where one is above 1.
+    fn decode_colors(&mut self) {
+        let largest = self.colors.iter().flatten().fold(0f32, |max, &c| max.max(c));
+        let scale = if largest > 1.0 { 1.0 / 255.0 } else { 1.0 };
+        for color in &mut self.colors {
+            *color = color.map(|c| display_to_linear((c * scale).min(1.0)));
+        }
     }
 }
 
@@ -243,7 +408,7 @@ impl Part {
         colors: &[[f32; 3]],
         material: u32,
     ) -> Mesh {
-        let normal = |c: &Corner| normals.get(c.2? as usize)?.try_normalize();
+        let normal = |c: &Corner| normals.get(c.2? as usize).copied();
         let uv = |c: &Corner| uvs.get(c.1? as usize).copied();
         let color = |c: &Corner| colors.get(c.0 as usize).copied();
         let corners = || self.corners.iter();
@@ -254,15 +419,17 @@ impl Part {
             colors: corners().map(color).collect::<Option<_>>().unwrap_or_default(),
             triangles: self.triangles.clone(),
             material,
+            ..Mesh::default()
         }
     }
 }
 
-/// The first `N` numbers of a line, all finite; `defaults` that are numbers may be missing.
+/// The first `N` numbers of a line up to a comment, all finite; `defaults` that are numbers may be missing.
 fn read_floats<const N: usize>(text: &str, defaults: [f32; N]) -> Result<[f32; N], String> {
     let mut values = defaults;
-    for (value, word) in values.iter_mut().zip(text.split_ascii_whitespace()) {
-        let parsed: f32 = word.parse().map_err(|_| format!("`{word}` is not a number"))?;
+    let words = text.split_ascii_whitespace().take_while(|word| !word.starts_with('#'));
+    for (value, word) in values.iter_mut().zip(words) {
+        let parsed = parse_number(word).ok_or_else(|| format!("`{word}` is not a number"))? as f32;
         if !parsed.is_finite() {
             return Err(format!("`{word}` is not finite"));
         }
@@ -274,10 +441,23 @@ fn read_floats<const N: usize>(text: &str, defaults: [f32; N]) -> Result<[f32; N
     Ok(values)
 }
 
-/// A corner as position/uv/normal, each from 1 on, or backward from the last with a minus.
-fn read_corner(word: &str, counts: [usize; 3]) -> Result<Corner, String> {
-    const NAMES: [&str; 3] = ["position", "texture coordinate", "normal"];
+/// The first `N` numbers of a line, which need not be finite.
+fn read_any_floats<const N: usize>(text: &str) -> Result<[f32; N], String> {
+    let mut words = text.split_ascii_whitespace().take_while(|word| !word.starts_with('#'));
+    let mut values = [0.0; N];
+    for value in &mut values {
+        let word = words.next().ok_or_else(|| format!("expected {N} numbers, found `{text}`"))?;
+        let parsed = parse_number(word).ok_or_else(|| format!("`{word}` is not a number"))?;
+        *value = parsed as f32;
+    }
+    Ok(values)
+}
+
+/// A corner as position/uv/normal, each from 1 on, or backward from the last with a minus; 0 is none. Also whether its texture
+/// coordinates, and its normal, are not in the file.
+fn read_corner(word: &str, counts: [usize; 3]) -> Result<(Corner, [bool; 2]), String> {
     let mut indices = [None; 3];
+    let mut missing = [false; 3];
     for (k, text) in word.split('/').enumerate() {
         let slot =
             indices.get_mut(k).ok_or_else(|| format!("`{word}` has more than three parts"))?;
@@ -287,28 +467,36 @@ fn read_corner(word: &str, counts: [usize; 3]) -> Result<Corner, String> {
         let number: i64 = text.parse().map_err(|_| format!("`{word}` is no face corner"))?;
         let count = counts[k] as i64;
         let index = if number < 0 { count.saturating_add(number) } else { number - 1 };
+        if k > 0 && !(0..count).contains(&index) {
+            // The shape is whole without them.
+            missing[k] = number != 0;
+            continue;
+        }
         if index < 0 || index >= count {
-            let name = NAMES[k];
             return Err(format!(
-                "{name} {number} of corner `{word}` is not one of the {count} so far"
+                "position {number} of corner `{word}` is not one of the {count} so far"
             ));
         }
         *slot = Some(u32::try_from(index).map_err(|_| "more than 2^32 vertices".to_owned())?);
     }
     let position = indices[0].ok_or_else(|| format!("corner `{word}` has no position"))?;
-    Ok((position, indices[1], indices[2]))
+    Ok(((position, indices[1], indices[2]), [missing[1], missing[2]]))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn read_freely(path: &Path) -> Result<Scene, SceneError> {
+        read_obj(path, &Resources::new(&pbgi_file::Allowance::unlimited()))
+    }
+
     fn read(obj: &str, mtl: &str) -> Result<Scene, SceneError> {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("a b.mtl"), mtl).unwrap();
         let path = folder.path().join("mesh.obj");
         std::fs::write(&path, obj).unwrap();
-        read_obj(&path, &Resources::new(&pbgi_file::Allowance::unlimited()))
+        read_freely(&path)
     }
 
     const SQUARE: &str = "mtllib a b.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 1\n\
@@ -345,13 +533,13 @@ mod tests {
     fn malformed_lines_are_named() {
         for (from, to, expected) in [
             ("v 1 0 0", "v 1 0", "line 3: expected 3 numbers"),
+            ("v 1 0 0", "v 1 0 # 0", "line 3: expected 3 numbers"),
             ("v 1 0 0", "v 1 x 0", "line 3: `x` is not a number"),
-            ("v 1 0 0", "v 1 1e99 0", "line 3: `1e99` is not finite"),
-            ("f 1//1 2//1 3//1", "f 1 2", "line 12: a face has 2 corners"),
+            ("v 1 0 0", "v 1 1e99 0", "line 10: position 2 of corner `2/2/1` is not finite"),
+            ("v 1 0 0", "v 1 -nan(ind) 0", "line 10: position 2"),
             ("f 1//1 2//1 3//1", "f 1 2 5", "position 5"),
             ("f 1//1 2//1 3//1", "f 1 2 0", "position 0"),
             ("f 1//1 2//1 3//1", "f 1 2 -5", "position -5"),
-            ("f 1//1 2//1 3//1", "f 1 2 3/9", "texture coordinate 9"),
             ("f 1//1 2//1 3//1", "f 1 2 /1", "no position"),
             ("f 1//1 2//1 3//1", "f 1 2 99999999999999999999", "no face corner"),
         ] {
@@ -369,7 +557,243 @@ mod tests {
     #[test]
     fn colors_may_begin_late() {
         let scene = read("v 0 0 0\nv 1 0 0 1 0.5 0\nv 0 1 0\nf 1 2 3", "").unwrap();
-        assert_eq!(scene.meshes[0].colors, [[1.0; 3], [1.0, 0.5, 0.0], [1.0; 3]]);
+        let colors = &scene.meshes[0].colors;
+        assert_eq!([colors[0], colors[2]], [[1.0; 3]; 2]);
+        assert!((colors[1][1] - 0.214_04).abs() < 1e-4 && colors[1][2] == 0.0, "{colors:?}");
+    }
+
+    #[test]
+    fn colors_are_those_of_a_display_and_replace_the_gray() {
+        for (v, expected) in [("0.5 0.5 1", 0.214_04), ("127.5 127.5 255", 0.214_04)] {
+            let scene =
+                read(&format!("v 0 0 0 {v}\nv 1 0 0 {v}\nv 0 1 0 {v}\nf 1 2 3"), "").unwrap();
+            assert_eq!(scene.materials[0].base_color, [1.0; 3]);
+            let [r, _, b] = scene.meshes[0].colors[2];
+            assert!((r - expected).abs() < 1e-4 && b == 1.0, "{r} {b}");
+        }
+    }
+
+    #[test]
+    fn what_faces_lack_costs_them_their_texture_only() {
+        let text = format!(
+            "{SQUARE}usemtl lamp\nf 1/1/1 2/7/1 3/1/9\nf 1/0/0 2/0/0 3/0/0 # one\nf 1 2 3#4\n"
+        );
+        let message = read(&text, LIBRARY).unwrap_err().to_string();
+        assert!(message.contains("`3#4` is no face corner"), "{message}");
+        let scene = read(&text.replace("3#4", "3 #4"), LIBRARY).unwrap();
+        let triangles = scene.meshes.iter().map(|m| m.triangles.len()).collect::<Vec<_>>();
+        // The lamp's textured square stays whole; each material is there once.
+        assert_eq!(triangles, [2, 1, 3]);
+        assert_eq!(scene.meshes.iter().map(|m| m.material).collect::<Vec<_>>(), [0, 1, 0]);
+        assert_eq!((scene.meshes[0].uvs.len(), scene.meshes[2].uvs.len()), (4, 0));
+        let [uvs, normals] = &scene.warnings[..] else { panic!("{:?}", scene.warnings) };
+        assert!(uvs.contains("1 corners of faces name texture coordinates"), "{uvs}");
+        assert!(normals.contains("1 corners of faces name normals"), "{normals}");
+    }
+
+    #[test]
+    fn byte_order_marks_and_keywords_in_any_case_are_read() {
+        let marked = format!("\u{feff}{}", SQUARE.replace("v 0 1 0", "V 0 1 0 # top"));
+        let library =
+            format!("\u{feff}{}", LIBRARY.replace("Kd", "KD").replace("newmtl", "NewMtl"));
+        let scene = read(&marked, &library).unwrap();
+        assert!(scene.warnings.is_empty(), "{:?}", scene.warnings);
+        assert_eq!(scene.meshes[0].positions[0], Vec3::ZERO);
+        assert_eq!(scene.materials[1].base_color, [0.2, 0.3, 0.4]);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("wide.obj");
+        std::fs::write(&path, b"\xff\xfev\0 \0").unwrap();
+        assert!(read_freely(&path).unwrap_err().to_string().contains("UTF-8"));
+    }
+
+    #[test]
+    fn unused_vertices_and_normals_may_be_anything() {
+        let text = SQUARE
+            .replace("vn 0 0 2", "vn 0 0 2\nvn 0 0 0\nvt nan 1\nv nan 1 1\nv 1.#IND 0 -1.#INF");
+        let text = text.replace("-1/2/-1", "4/2/1") + "f 1 2\n";
+        let scene = read(&text, LIBRARY).unwrap();
+        assert_eq!(scene.meshes[0].normals, [Vec3::Z; 4]);
+        let [faces, uvs, normals] = &scene.warnings[..] else { panic!("{:?}", scene.warnings) };
+        assert!(
+            faces.contains("1 faces of fewer than three corners") && uvs.contains("not finite")
+        );
+        assert!(normals.contains("1 normals have no direction"), "{normals}");
+    }
+
+    #[test]
+    fn concave_faces_are_cut_within_their_outline() {
+        let text = "v 1 0 1\nv 2 0 1\nv 2 0 0\nv 0 0 0\nv 0 0 2\nv 1 0 2\nf 1 2 3 4 5 6\n";
+        let mesh = &read(text, "").unwrap().meshes[0];
+        let doubled = |t: &[u32; 3]| {
+            let [a, b, c] = t.map(|v| mesh.positions[v as usize]);
+            (b - a).cross(c - a)
+        };
+        assert!(
+            (mesh.triangles.iter().map(|t| doubled(t).length()).sum::<f32>() - 6.0).abs() < 1e-5
+        );
+        assert!(mesh.triangles.iter().all(|t| doubled(t).y > 0.0));
+    }
+
+    #[test]
+    fn unknown_lines_are_counted() {
+        let scene = read(&format!("{SQUARE}vx 1\nvx 2\ncall a.obj\ns 1\n"), LIBRARY).unwrap();
+        let [calls, unknown] = &scene.warnings[..] else { panic!("{:?}", scene.warnings) };
+        assert!(calls.contains("calls") && unknown.contains("2 lines that begin with `vx`"));
+    }
+
+    /// Reads the square with files beside it; the last material is `m`.
+    fn read_with(mtl: &str, files: &[(&str, &[u8])]) -> Scene {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, bytes) in files {
+            std::fs::write(folder.path().join(name), bytes).unwrap();
+        }
+        std::fs::write(folder.path().join("m.mtl"), format!("newmtl m\n{mtl}")).unwrap();
+        let path = folder.path().join("mesh.obj");
+        let obj = "mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n\
+            usemtl m\nf 1/1 2/2 3/3 4/4\n";
+        std::fs::write(&path, obj).unwrap();
+        read_freely(&path).unwrap()
+    }
+
+    fn png(width: u32, pixels: &[[u8; 4]]) -> Vec<u8> {
+        let height = pixels.len() as u32 / width;
+        let mut bytes = std::io::Cursor::new(vec![]);
+        image::RgbaImage::from_raw(width, height, pixels.concat())
+            .unwrap()
+            .write_to(&mut bytes, image::ImageFormat::Png)
+            .unwrap();
+        bytes.into_inner()
+    }
+
+    fn texels(scene: &Scene) -> &[[u8; 4]] {
+        let texture = scene.materials[0].base_color_texture.unwrap();
+        scene.textures[texture as usize].texels()
+    }
+
+    const GRAY: [u8; 4] = [128, 128, 128, 255];
+
+    #[test]
+    fn d_decides_where_tr_contradicts_it() {
+        for (lines, is_hole, warnings) in [
+            ("d 1\nTr 1", false, 1),
+            ("Tr 1\nd 1", false, 1),
+            ("d 0\nTr 0", true, 2),
+            ("d 0.2\nTr 0.8", true, 1),
+            ("d 0.7\nTr 0.3", false, 1),
+            ("Tr 0.8", true, 1),
+            // All of the library would be invisible: it means the opposite.
+            ("Tr 1", false, 1),
+            ("Tr 1\nnewmtl n\nTr 1.0", false, 1),
+            ("Tr 1\nnewmtl n\nTr 0", true, 1),
+        ] {
+            let scene = read_with(lines, &[]);
+            assert_eq!(scene.materials[0].alpha_cutoff.is_some(), is_hole, "{lines}");
+            assert_eq!(scene.warnings.len(), warnings, "{lines}: {:?}", scene.warnings);
+        }
+    }
+
+    #[test]
+    fn black_beside_a_texture_is_not_multiplied() {
+        let files: &[(&str, &[u8])] = &[("g.png", &png(1, &[GRAY]))];
+        for (lines, base, glow, warnings) in [
+            ("Kd 0 0 0\nmap_Kd g.png", 1.0, 0.0, 1),
+            ("map_Kd g.png", 1.0, 0.0, 0),
+            ("Kd 0.5 0.5 0.5\nmap_Kd g.png", 0.5, 0.0, 0),
+            ("Kd 0 0 0", 0.0, 0.0, 0),
+            ("Kd 0 0 0\nmap_Kd none.png", 1.0, 0.0, 2),
+            ("Ke 0 0 0\nmap_Ke g.png", 0.8, 1.0, 1),
+            ("Ke 3\nmap_Ke g.png", 0.8, 3.0, 0),
+            ("Ke 3\nmap_Ke none.png", 0.8, 0.0, 1),
+        ] {
+            let scene = read_with(lines, files);
+            let material = &scene.materials[0];
+            assert_eq!((material.base_color[0], material.emission[0]), (base, glow), "{lines}");
+            assert_eq!(scene.warnings.len(), warnings, "{lines}: {:?}", scene.warnings);
+        }
+    }
+
+    #[test]
+    fn masks_cut_holes() {
+        let (white, black) = ([255; 4], [0, 0, 0, 255]);
+        let clear = [128, 128, 128, 0];
+        let files: &[(&str, &[u8])] = &[
+            ("leaf.png", &png(1, &[GRAY])),
+            ("mask.png", &png(2, &[white, black])),
+            ("matte.png", &png(2, &[GRAY, clear])),
+        ];
+        for (lines, alphas) in [
+            ("map_Kd leaf.png\nmap_d mask.png", &[255, 0][..]),
+            ("map_Kd leaf.png\nMAP_D -clamp on mask.png", &[255, 0]),
+            ("map_d mask.png", &[255, 0]),
+            ("map_Kd matte.png\nmap_d matte.png", &[255, 0]),
+            ("map_Kd leaf.png\nmap_d matte.png", &[255, 0]),
+            ("map_Kd leaf.png\nmap_d -imfchan m matte.png", &[255, 0]),
+            ("map_Kd mask.png\nmap_d mask.png", &[255, 0]),
+        ] {
+            let scene = read_with(lines, files);
+            let found = texels(&scene).iter().map(|t| t[3]).collect::<Vec<_>>();
+            assert_eq!(found, alphas, "{lines}");
+            assert_eq!(scene.materials[0].alpha_cutoff, Some(0.5), "{lines}");
+            assert!(scene.warnings.is_empty(), "{lines}: {:?}", scene.warnings);
+        }
+        let faded = read_with("d 0.8\nmap_d mask.png", files);
+        assert_eq!(faded.materials[0].alpha_cutoff, Some(0.625));
+        let unmasked = read_with("map_Kd matte.png", files);
+        assert_eq!((texels(&unmasked)[1][3], unmasked.materials[0].alpha_cutoff), (255, None));
+        assert!(unmasked.warnings[0].contains("no map_d"), "{:?}", unmasked.warnings);
+    }
+
+    #[test]
+    fn options_of_maps_are_honored_or_named() {
+        let files: &[(&str, &[u8])] = &[("my map.png", &png(2, &[GRAY, [255; 4]]))];
+        for (options, warnings) in [
+            ("", 0),
+            ("-blendu off -mm 0 1 -s 1 1 1 -o 0 0", 0),
+            ("-s 2 2 1", 1),
+            ("-o 0.5 -t 0.1 0 0", 1),
+            ("-bm 0.5 -mm 0.2 0.5", 1),
+        ] {
+            let scene = read_with(&format!("map_Kd {options} my map.png"), files);
+            assert_eq!(texels(&scene).len(), 2, "{options}");
+            assert_eq!(scene.warnings.len(), warnings, "{options}: {:?}", scene.warnings);
+        }
+        let at_edge = |options: &str| {
+            let scene = read_with(&format!("map_Kd {options} My Map.PNG"), files);
+            scene.textures[0].sample(Vec2::new(1.4, 0.5))[0]
+        };
+        assert!(at_edge("-clamp on") > 0.99 && at_edge("-clamp off") < 0.8);
+        assert!(read_with("map_Kd", &[]).warnings[0].contains("names no file"));
+    }
+
+    #[test]
+    fn maps_and_gloss_that_are_not_read_are_counted() {
+        let scene =
+            read_with("disp a.png\nmap_Ks b.png\nTf 1 1 1\nnewmtl n\ndisp a.png\nTf 1 0 0", &[]);
+        assert_eq!(scene.warnings.len(), 3, "{:?}", scene.warnings);
+        assert!(
+            scene.warnings[0].contains("disp (2 times) is not read; surfaces are not displaced")
+        );
+        let metal = read_with("Pm 1\nPr 0.3", &[]);
+        assert_eq!((metal.materials[0].metallic, metal.materials[0].roughness), (1.0, 0.3));
+    }
+
+    #[test]
+    fn libraries_are_found_as_people_write_them() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir(folder.path().join("Sub")).unwrap();
+        std::fs::write(folder.path().join("Sub/Lib.mtl"), "newmtl Red\nKd 1 0 0\n").unwrap();
+        std::fs::write(folder.path().join("b.mtl"), "newmtl blue\nKd 0 0 1\n").unwrap();
+        let path = folder.path().join("mesh.obj");
+        for (library, material, color) in [
+            ("sub\\lib.mtl", "red", [1.0, 0.0, 0.0]),
+            ("none.mtl b.mtl", "blue", [0.0, 0.0, 1.0]),
+            ("C:\\Users\\me\\B.MTL", "blue", [0.0, 0.0, 1.0]),
+        ] {
+            let text =
+                format!("mtllib {library}\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl {material}\nf 1 2 3");
+            std::fs::write(&path, text).unwrap();
+            assert_eq!(read_freely(&path).unwrap().materials[0].base_color, color, "{library}");
+        }
     }
 
     #[test]

@@ -1,10 +1,15 @@
 //! What reading a scene takes: memory, and the files that it refers to.
 
 use crate::SceneError;
-use pbgi_file::{Allowance, FileId};
+use pbgi_file::{Allowance, Excess, FileId};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
+
+/// Whether an error is a lack of memory. That fails the scene: what memory there is must not decide what is left out.
+pub(crate) fn is_lack_of_memory(error: &SceneError) -> bool {
+    matches!(error, SceneError::Io { source, .. } if Excess::of(source).is_some())
+}
 
 /// Memory granted to a scene, and the files read for it.
 pub(crate) struct Resources<'a> {

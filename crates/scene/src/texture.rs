@@ -5,16 +5,17 @@ use rayon::prelude::*;
 use std::sync::{LazyLock, OnceLock};
 
 /// Linear value of each sRGB byte (IEC 61966-2-1).
-static SRGB_TO_LINEAR: LazyLock<[f32; 256]> = LazyLock::new(|| {
-    std::array::from_fn(|i| {
-        let c = i as f32 / 255.0;
-        if c <= 0.040_45 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
-    })
-});
+static SRGB_TO_LINEAR: LazyLock<[f32; 256]> =
+    LazyLock::new(|| std::array::from_fn(|i| display_to_linear(i as f32 / 255.0)));
 
 /// Linear value of each linear byte.
 static BYTE_TO_LINEAR: LazyLock<[f32; 256]> =
     LazyLock::new(|| std::array::from_fn(|i| i as f32 / 255.0));
+
+/// Linear value of an sRGB code from 0 to 1.
+pub(crate) fn display_to_linear(code: f32) -> f32 {
+    if code <= 0.040_45 { code / 12.92 } else { ((code + 0.055) / 1.055).powf(2.4) }
+}
 
 /// Linear value of an sRGB-encoded byte.
 pub(crate) fn srgb_to_linear(byte: u8) -> f32 {
@@ -28,7 +29,20 @@ fn linear_to_srgb(linear: f32) -> u8 {
     (encoded * 255.0 + 0.5) as u8
 }
 
-/// A texture: linear RGB and alpha in 0..=1, row 0 at the top, wrapping by repetition.
+/// What lies beyond the edges of a texture.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Wrap {
+    /// The texture again.
+    #[default]
+    Repeat,
+    /// Its edge.
+    Clamp,
+    /// Its mirror image, and so on in turns.
+    Mirror,
+}
+
+/// A texture: linear RGB and alpha in 0..=1, row 0 at the top, repeated in both directions unless it is told to do otherwise
+/// ([`Texture::with_wrap`]).
 ///
 /// Colors are averaged with their alpha as weight, so that what is cut away does not bleed into
 /// what is left. A pyramid of half-size levels (box filter on linear values, stored in bytes like
@@ -37,7 +51,17 @@ fn linear_to_srgb(linear: f32) -> u8 {
 pub struct Texture {
     base: Level,
     srgb: bool,
+    /// Along rows, and along columns.
+    wrap: [Wrap; 2],
     pyramid: OnceLock<Vec<Level>>,
+    alpha_peaks: OnceLock<Vec<AlphaPeaks>>,
+}
+
+/// The largest alpha of each square of texels.
+#[derive(Clone, Debug)]
+struct AlphaPeaks {
+    width: usize,
+    peaks: Vec<u8>,
 }
 
 /// One level of the pyramid.
@@ -57,7 +81,15 @@ impl Texture {
         if count == 0 || texels.len() != count {
             return None;
         }
-        Some(Self { base: Level { width, height, texels }, srgb, pyramid: OnceLock::new() })
+        let base = Level { width, height, texels };
+        let (pyramid, alpha_peaks) = (OnceLock::new(), OnceLock::new());
+        Some(Self { base, srgb, wrap: [Wrap::Repeat; 2], pyramid, alpha_peaks })
+    }
+
+    /// The texture with other edges: along rows (u), and along columns (v).
+    #[must_use]
+    pub fn with_wrap(self, wrap: [Wrap; 2]) -> Self {
+        Self { wrap, ..self }
     }
 
     /// Texels along a row.
@@ -84,17 +116,23 @@ impl Texture {
         self.base.texels.iter().map(|t| t[3]).min().map_or(1.0, |a| f32::from(a) / 255.0)
     }
 
+    /// Largest alpha of all texels.
+    #[must_use]
+    pub fn alpha_max(&self) -> f32 {
+        self.base.texels.iter().map(|t| t[3]).max().map_or(1.0, |a| f32::from(a) / 255.0)
+    }
+
     /// Linear color and alpha at `uv`, bilinear between texel centers. (0, 0) is the top left corner
     /// of the image, (1, 1) its bottom right corner.
     #[must_use]
     pub fn sample(&self, uv: Vec2) -> [f32; 4] {
-        self.base.sample(uv, self.decoder())
+        self.base.sample(uv, self.wrap, self.decoder())
     }
 
     /// Alpha alone of [`Texture::sample`].
     #[must_use]
     pub fn sample_alpha(&self, uv: Vec2) -> f32 {
-        self.base.sample_alpha(uv)
+        self.base.sample_alpha(uv, self.wrap)
     }
 
     /// Linear color and alpha at `uv` averaged over about `texel_footprint` × `texel_footprint`
@@ -108,12 +146,62 @@ impl Texture {
         let pyramid = self.pyramid();
         let level = level.min(pyramid.len() as f32);
         let (below, fraction) = (level as usize, level.fract());
-        let finer = self.level(pyramid, below).sample(uv, self.decoder());
+        let finer = self.level(pyramid, below).sample(uv, self.wrap, self.decoder());
         if fraction == 0.0 {
             return finer;
         }
-        let coarser = self.level(pyramid, below + 1).sample(uv, self.decoder());
+        let coarser = self.level(pyramid, below + 1).sample(uv, self.wrap, self.decoder());
         std::array::from_fn(|c| finer[c] + (coarser[c] - finer[c]) * fraction)
+    }
+
+    /// No smaller than any alpha of [`Texture::sample_alpha`] between two corners, and hardly larger. The first call makes a
+    /// pyramid of a third of a byte per texel.
+    #[must_use]
+    pub fn alpha_max_within(&self, min: Vec2, max: Vec2) -> f32 {
+        let columns = texel_range([min.x, max.x], self.base.width, self.wrap[0]);
+        let rows = texel_range([min.y, max.y], self.base.height, self.wrap[1]);
+        let levels = self.alpha_peaks();
+        // The level at which a range has a few squares.
+        let longest = columns.iter().chain(&rows).map(|r| r[1] - r[0]).max().unwrap_or(0);
+        let level = (longest / 4 + 1).ilog2() as usize;
+        let level = level.min(levels.len());
+        let mut peak = 0;
+        for [top, bottom] in rows {
+            for [left, right] in &columns {
+                for y in top >> level..=bottom >> level {
+                    for x in left >> level..=right >> level {
+                        peak = peak.max(match level.checked_sub(1).map(|k| &levels[k]) {
+                            Some(AlphaPeaks { width, peaks }) => peaks[y * width + x],
+                            None => self.base.texels[y * self.base.width as usize + x][3],
+                        });
+                    }
+                }
+            }
+        }
+        f32::from(peak) / 255.0
+    }
+
+    /// Largest alphas of squares of 2, 4, 8 … texels.
+    fn alpha_peaks(&self) -> &[AlphaPeaks] {
+        self.alpha_peaks.get_or_init(|| {
+            let (mut width, mut height) = (self.base.width as usize, self.base.height as usize);
+            let mut finest: Vec<u8> = self.base.texels.iter().map(|texel| texel[3]).collect();
+            let mut levels = Vec::new();
+            while width > 1 || height > 1 {
+                let (columns, rows) = (width.div_ceil(2), height.div_ceil(2));
+                let peak = |i: usize| {
+                    let (x, y) = (i % columns * 2, i / columns * 2);
+                    let right = (x + 1).min(width - 1);
+                    let bottom = (y + 1).min(height - 1);
+                    let at = |x: usize, y: usize| finest[y * width + x];
+                    at(x, y).max(at(right, y)).max(at(x, bottom)).max(at(right, bottom))
+                };
+                let peaks: Vec<u8> = (0..columns * rows).map(peak).collect();
+                levels.push(AlphaPeaks { width: columns, peaks: peaks.clone() });
+                (finest, width, height) = (peaks, columns, rows);
+            }
+            levels
+        })
     }
 
     fn level<'a>(&'a self, pyramid: &'a [Level], index: usize) -> &'a Level {
@@ -142,11 +230,11 @@ impl Texture {
 }
 
 impl Level {
-    fn sample(&self, uv: Vec2, decoder: &[f32; 256]) -> [f32; 4] {
+    fn sample(&self, uv: Vec2, wrap: [Wrap; 2], decoder: &[f32; 256]) -> [f32; 4] {
         let mut weighted = [0.0; 3];
         let mut plain = [0.0; 3];
         let mut alpha = 0.0;
-        for (index, weight) in self.taps(uv) {
+        for (index, weight) in self.taps(uv, wrap) {
             let Some(texel) = self.texels.get(index) else { continue };
             let opacity = weight * f32::from(texel[3]) * (1.0 / 255.0);
             alpha += opacity;
@@ -160,15 +248,18 @@ impl Level {
         [r, g, b, alpha]
     }
 
-    fn sample_alpha(&self, uv: Vec2) -> f32 {
+    fn sample_alpha(&self, uv: Vec2, wrap: [Wrap; 2]) -> f32 {
         let texel_alpha = |index: usize| self.texels.get(index).map_or(255, |t| t[3]);
-        self.taps(uv).iter().map(|&(i, weight)| weight * f32::from(texel_alpha(i)) / 255.0).sum()
+        self.taps(uv, wrap)
+            .iter()
+            .map(|&(i, weight)| weight * f32::from(texel_alpha(i)) / 255.0)
+            .sum()
     }
 
     /// The four texels around `uv` and their bilinear weights.
-    fn taps(&self, uv: Vec2) -> [(usize, f32); 4] {
-        let [x0, x1, fx] = wrap(uv.x, self.width);
-        let [y0, y1, fy] = wrap(uv.y, self.height);
+    fn taps(&self, uv: Vec2, [along_u, along_v]: [Wrap; 2]) -> [(usize, f32); 4] {
+        let [x0, x1, fx] = find_texels(uv.x, self.width, along_u);
+        let [y0, y1, fy] = find_texels(uv.y, self.height, along_v);
         let at = |x: f32, y: f32| y as usize * self.width as usize + x as usize;
         [
             (at(x0, y0), (1.0 - fx) * (1.0 - fy)),
@@ -189,22 +280,53 @@ impl Level {
 }
 
 /// Neighboring texels `[first, second, fraction]` of a coordinate on an axis of `size` texels.
-fn wrap(coordinate: f32, size: u32) -> [f32; 3] {
+fn find_texels(coordinate: f32, size: u32, wrap: Wrap) -> [f32; 3] {
     let size = size as f32;
-    let unit = coordinate - coordinate.floor();
+    let unit = match wrap {
+        Wrap::Repeat => coordinate - coordinate.floor(),
+        Wrap::Clamp => coordinate.clamp(0.0, 1.0),
+        // There and back again takes 2.
+        Wrap::Mirror => 1.0 - (coordinate - 2.0 * (coordinate * 0.5).floor() - 1.0).abs(),
+    };
     let position = if unit.is_finite() { unit * size - 0.5 } else { 0.0 };
     let first = position.floor();
     let fraction = position - first;
-    let into = |x: f32| {
-        if x < 0.0 {
-            x + size
-        } else if x >= size {
-            x - size
-        } else {
-            x
-        }
+    let into = |x: f32| match wrap {
+        Wrap::Repeat if x < 0.0 => x + size,
+        Wrap::Repeat if x >= size => x - size,
+        _ => x.clamp(0.0, size - 1.0),
     };
     [into(first), into(first + 1.0), fraction]
+}
+
+/// First and last texels that coordinates from one to another can reach on an axis of `size` texels; two ranges where these go
+/// over the edge.
+fn texel_range([from, to]: [f32; 2], size: u32, wrap: Wrap) -> Vec<[usize; 2]> {
+    let last = i64::from(size) - 1;
+    let whole = vec![[0, last as usize]];
+    let (from, to) = (f64::from(from) * f64::from(size), f64::from(to) * f64::from(size));
+    if !(from <= to && from.abs() < 1e12 && to.abs() < 1e12) {
+        return whole;
+    }
+    // A texel more to each side: lookups round.
+    let (first, end) = ((from - 1.5).floor() as i64, (to + 1.5).floor() as i64);
+    if end - first >= last {
+        return whole;
+    }
+    let inside = |texel: i64| texel.clamp(0, last) as usize;
+    match wrap {
+        _ if first >= 0 && end <= last => vec![[first as usize, end as usize]],
+        Wrap::Clamp => vec![[inside(first), inside(end)]],
+        Wrap::Mirror => whole,
+        Wrap::Repeat => {
+            let size = i64::from(size);
+            let (first, end) = (first.rem_euclid(size), end.rem_euclid(size));
+            match first <= end {
+                true => vec![[first as usize, end as usize]],
+                false => vec![[first as usize, last as usize], [0, end as usize]],
+            }
+        }
+    }
 }
 
 /// A level while the pyramid is made: linear color, alpha.
@@ -316,6 +438,68 @@ mod tests {
         }
         assert!(texture.sample(Vec2::new(f32::NAN, f32::INFINITY))[0].is_finite());
         assert!(texture.sample(Vec2::new(-1e-9, 1.0 - 1e-8))[0].is_finite());
+    }
+
+    #[test]
+    fn clamped_and_mirrored_textures_keep_their_edges_apart() {
+        let texels = vec![[0, 0, 0, 255], [0, 0, 0, 255], [255, 255, 255, 255], [255; 4]];
+        let texture = |wrap| {
+            Texture::new(4, 1, texels.clone(), false).unwrap().with_wrap([wrap, Wrap::Clamp])
+        };
+        let sample = |texture: &Texture, u: f32| texture.sample(Vec2::new(u, 7.5))[0];
+        let (clamped, mirrored) = (texture(Wrap::Clamp), texture(Wrap::Mirror));
+        for (u, at_clamped, at_mirrored) in [
+            (0.0, 0.0, 0.0),
+            (1.0, 1.0, 1.0),
+            (1.2, 1.0, 1.0),
+            (1.9, 1.0, 0.0),
+            (-0.2, 0.0, 0.0),
+            (-0.9, 0.0, 1.0),
+            (2.1, 1.0, 0.0),
+            (-1e20, 0.0, 0.0),
+        ] {
+            assert!((sample(&clamped, u) - at_clamped).abs() < 1e-5, "{u}");
+            assert!((sample(&mirrored, u) - at_mirrored).abs() < 1e-5, "{u}");
+            let wide = clamped.sample_level(Vec2::new(u, 0.0), 1.5)[0];
+            assert!((wide - at_clamped).abs() < 1e-2, "{u}: {wide}");
+        }
+        for texture in [clamped, mirrored] {
+            assert!(sample(&texture, f32::NAN).is_finite());
+            assert!(sample(&texture, f32::NEG_INFINITY).is_finite());
+        }
+    }
+
+    #[test]
+    fn no_alpha_is_above_the_largest_within() {
+        let mut state = 1u64;
+        let mut next = || {
+            state = state.wrapping_mul(0x5851_f42d_4c95_7f2d).wrapping_add(0x1405_7b7e_f767_814f);
+            (state >> 40) as f32 / (1u64 << 24) as f32
+        };
+        let (mut tight, mut total) = (0, 0);
+        for (width, height) in [(1, 1), (2, 3), (33, 17), (64, 128)] {
+            let texels = (0..width * height)
+                .map(|_| [0, 0, 0, if next() > 0.97 { (next() * 255.0) as u8 } else { 0 }])
+                .collect();
+            let texture = Texture::new(width, height, texels, true).unwrap();
+            for wrap in [Wrap::Repeat, Wrap::Clamp, Wrap::Mirror] {
+                let texture = texture.clone().with_wrap([wrap, Wrap::Repeat]);
+                for _ in 0..200 {
+                    let min = Vec2::new(next() * 4.0 - 2.0, next() * 4.0 - 2.0);
+                    let size = Vec2::new(next(), next()) * if next() > 0.5 { 0.1 } else { 1.2 };
+                    let bound = texture.alpha_max_within(min, min + size);
+                    for _ in 0..30 {
+                        let at = min + size * Vec2::new(next(), next());
+                        assert!(texture.sample_alpha(at) <= bound + 1e-6, "{wrap:?} {at}");
+                    }
+                    (tight, total) = (tight + u32::from(bound == 0.0), total + 1);
+                }
+            }
+        }
+        // It tells of holes, too.
+        assert!(tight * 10 > total, "{tight} of {total}");
+        let texture = Texture::new(1, 1, vec![[0; 4]], true).unwrap();
+        assert_eq!(texture.alpha_max_within(Vec2::NAN, Vec2::INFINITY), 0.0);
     }
 
     #[test]

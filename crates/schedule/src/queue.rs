@@ -8,11 +8,11 @@ use std::ops::Range;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-/// Receivers of a batch: neighbors along the Morton curve, shaded by one worker.
-pub(crate) const BATCH_RECEIVERS: usize = 64;
+/// Receivers of a batch: neighbors along the Morton curve, shaded by one worker as a block. Results depend on it.
+pub(crate) const BATCH_RECEIVERS: usize = 1024;
 
 /// Batches that may be looked at ahead of those given to workers.
-const BATCHES_AHEAD: usize = 8;
+const BATCHES_AHEAD: usize = 2;
 
 /// Receivers and the order to shade them in.
 pub(crate) struct Chunk<'r> {

@@ -16,7 +16,7 @@ pub const CHUNKS_IN_FLIGHT: usize = 2;
 pub const RECEIVER_BYTES_IN_FLIGHT: usize =
     size_of::<Receiver>() + size_of::<Shading>() + size_of::<(u64, u32)>() + size_of::<u32>();
 
-/// In which order the receivers of a chunk are shaded; never changes their results.
+/// In which order the receivers of a chunk are shaded. Changes their results only where neighbors share.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ReceiverOrder {
     /// Along the Morton curve, so that neighbors share pages.
@@ -230,7 +230,7 @@ fn run_worker(
 ) -> ShadeReport {
     let mut gatherer = Gatherer::new(octree.reader(), &options.gather, light);
     let mut report = ShadeReport::default();
-    let mut shadings = Vec::new();
+    let (mut receivers, mut shadings) = (Vec::new(), Vec::new());
     let mut idle_ns = 0;
     loop {
         let (batch, waited_ns) = queue.next_batch();
@@ -240,18 +240,19 @@ fn run_worker(
             queue.stop(Some(ScheduleError::Cancelled));
             break;
         }
+        receivers.clear();
+        receivers.extend(batch.indices().iter().map(|i| batch.chunk.receivers[*i as usize]));
         shadings.clear();
-        let receivers = &batch.chunk.receivers;
-        let gathered = batch.indices().iter().try_for_each(|index| {
-            let shading = gatherer.gather(&receivers[*index as usize])?;
-            report.cut_sizes.note(u64::from(shading.cut_size));
-            shadings.push(shading);
-            Ok(())
-        });
-        if let Err(error) = gathered {
+        shadings.resize(receivers.len(), Shading::default());
+        if let Err(error) = gatherer.gather_block(&receivers, &mut shadings, options.cancel) {
             queue.stop(Some(ScheduleError::Store(error)));
             break;
         }
+        if options.cancel.load(Ordering::Relaxed) {
+            queue.stop(Some(ScheduleError::Cancelled));
+            break;
+        }
+        shadings.iter().for_each(|shading| report.cut_sizes.note(u64::from(shading.cut_size)));
         report.batches += 1;
         report.receivers += shadings.len() as u64;
         (options.progress)(queue.complete(batch, &shadings));

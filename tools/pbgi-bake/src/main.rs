@@ -117,6 +117,8 @@ struct LightArgs {
     #[arg(long)]
     unlit: bool,
     /// Environment that lights the surfels, .exr or .hdr
+    ///
+    /// Its middle is seen along +Z (with +Z up, along -Y); --env-rotate 90 places it as Blender and three.js do, whose middle is +X.
     #[arg(long, value_name = "IMAGE")]
     env: Option<PathBuf>,
     /// Rotation of the environment about the upward axis
@@ -134,9 +136,6 @@ struct LightArgs {
     /// Texels along a face of the cube raster
     #[arg(long, value_name = "N", default_value_t = 6)]
     bounce_raster: usize,
-    /// Most neighbors on one surface that share a gather; 1 gathers for each
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    bounce_share: usize,
 }
 
 /// Layout of the file.
@@ -220,7 +219,6 @@ impl Args {
                 bounces: light.bounces,
                 solid_angle_sr: light.bounce_solid_angle,
                 raster_edge: light.bounce_raster,
-                share: light.bounce_share,
             },
             resume: self.resume,
             temp_dir: self.temp_dir.clone(),
@@ -269,7 +267,8 @@ fn run(args: &Args, cancel: &AtomicBool) -> Result<(), PbgiError> {
     if !json_on_stdout {
         cli::print(&cli::format_table(&report.rows()))?;
     }
-    args.stats_json.as_deref().map_or(Ok(()), |path| cli::write_json(path, &report))
+    args.stats_json.as_deref().map_or(Ok(()), |path| cli::write_json(path, &report))?;
+    args.common.judge(&report.warnings)
 }
 
 fn main() -> ExitCode {

@@ -46,16 +46,9 @@ struct DemoArgs {
 /// Columns of the sky's image; it is half as high.
 const SKY_COLUMNS: usize = 2048;
 
-/// Edge of the blocks of the picture in which surfaces share gathers of broad light.
-const SHARE_PIXELS: u32 = 5;
-
 /// What a first look is gathered with: half the time of the defaults.
 const QUICK_SOLID_ANGLE_SR: f32 = 0.08;
 const QUICK_RASTER_EDGE: usize = 8;
-
-/// Neighbors on one surface that share a gather when the surfels are lit: their light is only seen
-/// reflected by others.
-const SHARE: usize = 256;
 
 /// Largest solid angle of a node where surfels are lit.
 const BAKE_SOLID_ANGLE_SR: f32 = 1.0;
@@ -74,7 +67,6 @@ struct Demo {
     surfels: u64,
     resolution: [u32; 2],
     shading_rate: f32,
-    share_pixels: u32,
     solid_angle_sr: f32,
     raster_edge: usize,
     common: CommonArgs,
@@ -97,7 +89,6 @@ impl Demo {
                 args.resolution
             },
             shading_rate: 2.5,
-            share_pixels: if args.quick { 0 } else { SHARE_PIXELS },
             solid_angle_sr: if args.quick { QUICK_SOLID_ANGLE_SR } else { plain.solid_angle_sr },
             raster_edge: if args.quick { QUICK_RASTER_EDGE } else { plain.raster_edge },
             common: args.common,
@@ -126,7 +117,6 @@ impl Demo {
             height: self.resolution[1],
             samples: 8,
             shading_rate: self.shading_rate,
-            share_pixels: self.share_pixels,
             aovs: FRAME_AOVS.to_vec(),
             names: Default::default(),
             settings: ShadeSettings {
@@ -175,7 +165,6 @@ impl Demo {
             sampling: Sampling::Surfels(self.surfels),
             light: LightRequest {
                 environment: Some(EnvironmentSpec::from_file(sky)),
-                share: SHARE,
                 solid_angle_sr: BAKE_SOLID_ANGLE_SR,
                 ..LightRequest::default()
             },

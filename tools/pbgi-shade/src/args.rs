@@ -132,9 +132,6 @@ pub struct ViewArgs {
     /// Area of a micropolygon in pixels
     #[arg(long, value_name = "PIXELS", default_value_t = 1.0, hide_short_help = true)]
     pub shading_rate: f32,
-    /// Blocks of pixels that share broad light; 0 shares none
-    #[arg(long, value_name = "PIXELS", default_value_t = 0)]
-    pub share: u32,
 }
 
 impl ViewArgs {
@@ -245,6 +242,9 @@ pub struct AnimationArgs {
 #[command(next_help_heading = "Light")]
 pub struct LightArgs {
     /// Equirectangular environment, EXR or HDR
+    ///
+    /// Its middle is seen along +Z (with +Z up, along -Y), a quarter from its left edge along +X, as OpenEXR and Mitsuba have it;
+    /// --env-rotate 90 places it as Blender and three.js do, whose middle is +X.
     #[arg(long, value_name = "FILE", conflicts_with = "env_color")]
     pub env: Option<PathBuf>,
     /// Uniform environment of this radiance
@@ -323,6 +323,9 @@ pub struct QualityArgs {
     /// most of, the cosine of diffuse surfaces, bright nodes, nodes that are pieces of planes.
     #[arg(long, value_name = "TERMS", default_value = "all", hide_short_help = true)]
     pub importance: ImportanceTerms,
+    /// Draw everything for each receiver, also what is far from it and alike for its neighbors
+    #[arg(long)]
+    pub no_share: bool,
     /// Texels along a face of the cube raster
     #[arg(long, value_name = "N", default_value_t = ShadeSettings::default().raster_edge)]
     pub raster: usize,

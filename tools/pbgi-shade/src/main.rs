@@ -11,7 +11,8 @@ use pbgi::cli::{self, format_table};
 use pbgi::{
     FRAME_AOVS, Frame, FrameRequest, GBUFFER_AOVS, GBufferRequest, GBufferSpace, Output,
     OutputKind, PbgiError, PointSource, PointsRequest, Progress, RunFiles, Scene, ShadeReport,
-    ShadeSettings, check_writable, load_scene_within, shade_frame, shade_gbuffer, shade_points,
+    ShadeSettings, check_suffix, check_writable, load_scene_within, shade_frame, shade_gbuffer,
+    shade_points,
 };
 use std::path::Path;
 use std::process::ExitCode;
@@ -95,14 +96,14 @@ impl SceneCache {
         &mut self,
         name: &str,
         memory_limit: u64,
-        progress: &Progress,
+        warnings: &mut Vec<String>,
     ) -> Result<&Scene, PbgiError> {
         let known = self.0.take().filter(|(known, _)| known == name);
         let entry = match known {
             Some(entry) => entry,
             None => {
                 let scene = load_scene_within(name, memory_limit)?;
-                scene.warnings.iter().for_each(|warning| progress.warn(warning));
+                warnings.extend(scene.warnings.iter().map(|warning| format!("{name}: {warning}")));
                 (name.to_owned(), scene)
             }
         };
@@ -121,7 +122,14 @@ fn shade_one(
     settings.validate()?;
     outputs(args).iter().try_for_each(|output| check_writable(output.path))?;
     let output = &args.output_options;
-    let report = match &args.points.receivers {
+    if args.points.receivers.is_none() && !args.points.surfels {
+        check_suffix(&args.output, &["exr"], "pictures")?;
+    }
+    for path in [&output.preview, &output.contact_sheet].into_iter().flatten() {
+        check_suffix(path, &["png"], "previews")?;
+    }
+    let mut warnings = Vec::new();
+    let mut report = match &args.points.receivers {
         Some(path) => points(args, PointSource::File(path.clone()), settings, &progress, cancel),
         None if args.points.surfels => {
             points(args, PointSource::Surfels, settings, &progress, cancel)
@@ -130,13 +138,15 @@ fn shade_one(
             Some(path) => gbuffer(args, path, settings, &progress, cancel),
             None => {
                 if let Some(name) = &args.view.scene {
-                    let scene = scenes.load(name, args.common.memory_limit, &progress)?;
+                    let limit = args.common.memory_limit;
+                    let scene = scenes.load(name, limit, &mut warnings)?;
                     scene.files.iter().try_for_each(|file| files.add_input(file))?;
                 }
                 picture(args, scenes, settings, &progress, cancel)
             }
         },
     }?;
+    report.warnings.splice(0..0, warnings);
     for warning in &report.warnings {
         progress.warn(warning);
     }
@@ -152,7 +162,7 @@ fn shade_one(
             cli::print(&format_table(&report.statistics()))?;
         }
     }
-    Ok(())
+    args.common.judge(&report.warnings)
 }
 
 fn settings(args: &ShadeArgs) -> ShadeSettings {
@@ -160,6 +170,7 @@ fn settings(args: &ShadeArgs) -> ShadeSettings {
         solid_angle_sr: args.quality.solid_angle,
         target_error: args.quality.target_error,
         importance: args.quality.importance,
+        share: !args.quality.no_share,
         gloss: args.gloss.settings(),
         raster_edge: args.quality.raster,
         bias: args.quality.bias,
@@ -180,8 +191,9 @@ fn picture(
 ) -> Result<ShadeReport, PbgiError> {
     let aovs = args.output_options.parse_aovs(&FRAME_AOVS, settings.gloss.is_some())?;
     let limit = args.common.memory_limit;
-    let scene =
-        args.view.scene.as_deref().map(|name| scenes.load(name, limit, progress)).transpose()?;
+    let mut warnings = Vec::new();
+    let scene = args.view.scene.as_deref();
+    let scene = scene.map(|name| scenes.load(name, limit, &mut warnings)).transpose()?;
     let request = FrameRequest {
         octree: &args.octree,
         scene,
@@ -190,12 +202,13 @@ fn picture(
         height: args.view.resolution[1],
         samples: args.view.samples,
         shading_rate: args.view.shading_rate,
-        share_pixels: args.view.share,
         aovs,
         names: args.output_options.names(),
         settings,
     };
-    write_frame(args, shade_frame(&request, progress, cancel)?)
+    let mut report = write_frame(args, shade_frame(&request, progress, cancel)?)?;
+    report.warnings.splice(0..0, warnings);
+    Ok(report)
 }
 
 fn gbuffer(

@@ -14,6 +14,7 @@ use pbgi_scene::{
 };
 use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
 
 /// Surfels meshes are diced into where nothing else is asked for.
 pub const DEFAULT_SURFELS: u64 = 1_000_000;
@@ -36,9 +37,9 @@ impl Default for Sampling {
 /// What a name stands for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InputKind {
-    /// A file with triangles: `.glb`, `.gltf`, `.obj`, or `.ply` with faces.
+    /// A file with triangles: `.glb`, `.gltf`, `.obj`, or `.ply` with faces or strips of triangles.
     Mesh,
-    /// A point cloud that may lack normals: `.ply` without faces and without normals.
+    /// A point cloud that may lack normals, or have some of 0: `.ply` without faces and without normals or sizes.
     BareCloud,
     /// A point cloud as it is: `.ply` without faces, `.ptc`, a raw surfel stream, `-` for such a stream on
     /// standard input.
@@ -98,13 +99,17 @@ impl InputKind {
     fn of_ply(path: &Path) -> Result<Self, PbgiError> {
         let file = open_input(path).map_err(|e| CloudError::io(path, "open", e))?;
         let header = PlyHeader::read(&mut BufReader::new(file), path)?;
-        if header.element("face").is_some_and(|faces| faces.count > 0) {
+        let has_rows = |name| header.element(name).is_some_and(|faces| faces.count > 0);
+        if has_rows("face") || has_rows("tristrips") {
             return Ok(Self::Mesh);
         }
-        let has_normals = header.element("vertex").is_some_and(|vertex| {
-            ["nx", "normal_x"].iter().any(|name| vertex.property(name).is_some())
-        });
-        Ok(if has_normals { Self::Cloud } else { Self::BareCloud })
+        // A normal of 0 means that it is not known, but where surfels have a size: those were written on purpose.
+        let has = |names: [&str; 2]| {
+            let vertex = header.element("vertex");
+            vertex.is_some_and(|v| names.iter().any(|name| v.property(name).is_some()))
+        };
+        let is_whole = has(["nx", "normal_x"]) && has(["radius", "area"]);
+        Ok(if is_whole { Self::Cloud } else { Self::BareCloud })
     }
 
     /// Whether +Z is up unless said otherwise.
@@ -185,6 +190,8 @@ pub struct Inputs {
     pub cache_bytes: u64,
     /// Lights that became surfels, once inputs are read.
     pub light_count: usize,
+    /// Of scenes that give no surfel because all their surfaces are holes, that they are, and by which materials.
+    pub all_holes: Vec<String>,
 }
 
 /// How scenes become surfels.
@@ -226,6 +233,7 @@ impl Inputs {
             any_lacks_normals: kinds.iter().any(|kind| kind.lacks_normals()),
             cache_bytes: 0,
             light_count: 0,
+            all_holes: Vec::new(),
         };
         for (name, kind) in names.iter().zip(kinds) {
             let content = if kind == InputKind::Octree {
@@ -266,19 +274,20 @@ impl Inputs {
     }
 
     /// All inputs as one stream, in their order, each scene's lights behind its micropolygons, and the coarsest spacing
-    /// meshes are diced with. Clouds can be read once only.
+    /// meshes are diced with. Clouds can be read once only. Dicing ends soon after `cancel` is set.
     ///
     /// # Errors
     ///
-    /// If a scene cannot be diced.
-    pub fn read_as_one(
-        &mut self,
+    /// If a scene cannot be diced; on cancellation.
+    pub fn read_as_one<'s>(
+        &'s mut self,
         how: SceneSampling,
-    ) -> Result<(ConcatSource<'_>, Option<f64>), PbgiError> {
+        cancel: &'s AtomicBool,
+    ) -> Result<(ConcatSource<'s>, Option<f64>), PbgiError> {
         let two_sided = how.two_sided;
-        let spacings = self.choose_spacings(how.sampling, two_sided)?;
-        let Self { names, contents, warnings, light_count, .. } = self;
-        let mut sources: Vec<Box<dyn SurfelSource + '_>> = Vec::new();
+        let spacings = self.choose_spacings(how.sampling, two_sided, cancel)?;
+        let Self { names, contents, warnings, light_count, all_holes, .. } = self;
+        let mut sources: Vec<Box<dyn SurfelSource + 's>> = Vec::new();
         let mut coarsest: Option<f64> = None;
         for ((name, content), spacing) in names.iter().zip(contents).zip(spacings) {
             match content {
@@ -290,8 +299,12 @@ impl Inputs {
                 Content::Scene { scene, lights, .. } => {
                     *lights = scene.light_surfels(how.light_scale);
                     *light_count += if lights.is_empty() { 0 } else { scene.lights.len() };
-                    let diced = dice(name, scene, DiceOptions { spacing, two_sided })?;
+                    let diced = dice(name, scene, DiceOptions { spacing, two_sided }, cancel)?;
                     warnings.extend(dicing_warnings(name, &diced));
+                    if let Some(why) = all_holes_of(&diced) {
+                        warnings.push(format!("{name}: {why}"));
+                        all_holes.push(why);
+                    }
                     if diced.spacing().is_finite() {
                         coarsest = Some(coarsest.unwrap_or(0.0).max(diced.spacing()));
                     }
@@ -308,6 +321,7 @@ impl Inputs {
         &self,
         sampling: Sampling,
         two_sided: TwoSided,
+        cancel: &AtomicBool,
     ) -> Result<Vec<Spacing>, PbgiError> {
         let count = match sampling {
             Sampling::Spacing(length) => {
@@ -322,7 +336,7 @@ impl Inputs {
             areas.push(match content {
                 Content::Scene { scene, surfels: None, .. } if is_shared => {
                     let spacing = Spacing::Length(f32::INFINITY);
-                    dice(name, scene, DiceOptions { spacing, two_sided })?.area()
+                    dice(name, scene, DiceOptions { spacing, two_sided }, cancel)?.visible_area()
                 }
                 Content::Scene { surfels: None, .. } => 1.0,
                 _ => 0.0,
@@ -354,9 +368,28 @@ fn dice<'a>(
     name: &str,
     scene: &'a Scene,
     options: DiceOptions,
+    cancel: &'a AtomicBool,
 ) -> Result<DicedScene<'a>, PbgiError> {
-    DicedScene::new(scene, options)
-        .map_err(|source: DiceError| PbgiError::Dice { input: name.to_owned(), source })
+    DicedScene::new_until(scene, options, cancel).map_err(|source| match source {
+        DiceError::Stopped => PbgiError::Interrupted,
+        source => PbgiError::Dice { input: name.to_owned(), source },
+    })
+}
+
+/// Materials that are named in one sentence, at most.
+const MATERIALS_NAMED: usize = 8;
+
+/// That all surfaces are holes, and by which materials, if they are.
+fn all_holes_of(diced: &DicedScene<'_>) -> Option<String> {
+    let materials = diced.hole_materials();
+    if materials.is_empty() || diced.count() != Some(0) {
+        return None;
+    }
+    let mut names = materials[..materials.len().min(MATERIALS_NAMED)].join(", ");
+    if materials.len() > MATERIALS_NAMED {
+        names.push_str(&format!(" and {} more", materials.len() - MATERIALS_NAMED));
+    }
+    Some(format!("all surfaces are holes, by the alpha of their materials: {names}"))
 }
 
 fn dicing_warnings(name: &str, diced: &DicedScene<'_>) -> Vec<String> {
@@ -395,7 +428,10 @@ mod tests {
         };
         assert_eq!(ply("a.ply", "end_header\n0 0 0\n"), InputKind::BareCloud);
         let normals = "property float nx\nproperty float ny\nproperty float nz\nend_header\n";
-        assert_eq!(ply("b.PLY", normals), InputKind::Cloud);
+        assert_eq!(ply("b.PLY", normals), InputKind::BareCloud);
+        assert_eq!(ply("b.ply", &format!("property float area\n{normals}")), InputKind::Cloud);
+        let strips = "element tristrips 1\nproperty list int int vertex_indices\nend_header\n";
+        assert_eq!(ply("s.ply", strips), InputKind::Mesh);
         let faces = "element face 1\nproperty list uchar int vertex_indices\nend_header\n";
         assert_eq!(ply("c", faces), InputKind::Mesh);
         assert_eq!(ply("d.ply", &faces.replace("face 1", "face 0")), InputKind::BareCloud);
@@ -432,11 +468,14 @@ mod tests {
         let names = [square("a.obj", 1.0), square("b.obj", 3.0), "demo:room?surfels=5k".to_owned()];
         let mut inputs =
             Inputs::open(&names, &CloudOptions::default(), OctreeUse::Keep, 1 << 30).unwrap();
-        let spacings = inputs.choose_spacings(Sampling::Surfels(10_000), TwoSided::None).unwrap();
+        let spacings = inputs
+            .choose_spacings(Sampling::Surfels(10_000), TwoSided::None, &AtomicBool::new(false))
+            .unwrap();
         assert_eq!(spacings, [1000, 9000, 5000].map(Spacing::Count));
         let sampling = Sampling::Surfels(10_000);
+        let never = AtomicBool::new(false);
         let how = SceneSampling { sampling, two_sided: TwoSided::None, light_scale: 1.0 };
-        let (mut source, spacing) = inputs.read_as_one(how).unwrap();
+        let (mut source, spacing) = inputs.read_as_one(how, &never).unwrap();
         assert!(spacing.is_some_and(|s| s > 0.0));
         let (mut surfels, announced) = (Vec::new(), source.count().unwrap());
         while source.read_chunk(&mut surfels).unwrap() {}

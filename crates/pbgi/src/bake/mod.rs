@@ -6,7 +6,6 @@ pub(crate) mod pass_files;
 pub(crate) mod relight;
 pub(crate) mod report;
 pub(crate) mod request;
-pub(crate) mod share;
 
 use crate::PbgiError;
 use crate::bake::input::{Inputs, OctreeUse, SceneSampling};
@@ -77,6 +76,7 @@ pub fn bake(
     // Sort, estimate where there may be something to estimate, build, light.
     progress.set_phase_count(2 + u32::from(inputs.any_cloud()) + light.pass_count());
     let report = BakeReport {
+        warnings: light.warnings.clone(),
         inputs: request.inputs.clone(),
         output: request.output.display().to_string(),
         threads: memory.threads,
@@ -131,6 +131,9 @@ fn remove_kept(
     kept.remove(but).map_err(|e| PbgiError::output(&request.temp_dir(), "remove files in", e))
 }
 
+/// Largest area of an estimated surfel, as a share of the root cube's face, below which points lie on each other.
+const COINCIDENT_AREA_SHARE: f32 = 1.0 / (1u64 << 36) as f32;
+
 /// A bake under way.
 struct Baker<'a> {
     request: &'a BakeRequest,
@@ -154,7 +157,7 @@ impl<'a> Baker<'a> {
         let start = Instant::now();
         let cache_bytes = inputs.cache_bytes;
         let (mut source, spacing) =
-            inputs.read_as_one(SceneSampling { sampling, two_sided, light_scale })?;
+            inputs.read_as_one(SceneSampling { sampling, two_sided, light_scale }, self.cancel)?;
         self.report.spacing = spacing;
         if let Some(spacing) = spacing {
             self.progress.note(&format!(
@@ -188,11 +191,15 @@ impl<'a> Baker<'a> {
         let left_out = source.left_out();
         self.report.left_out_by_class = left_out.by_class;
         self.report.left_out_withheld = left_out.withheld;
+        self.report.warnings.extend(source.warnings());
         let count = sorted.summary().count;
         if count == 0 {
+            drop(source);
+            inputs.warnings.iter().for_each(|warning| self.progress.warn(warning));
             let names = self.request.inputs.join(", ");
+            let why: String = inputs.all_holes.iter().map(|why| format!("; {why}")).collect();
             return Err(PbgiError::input(format!(
-                "{names}: no surfels; an octree needs at least one"
+                "{names}: no surfels; an octree needs at least one{why}"
             )));
         }
         check_scale(sorted.summary())?;
@@ -265,6 +272,15 @@ impl<'a> Baker<'a> {
         drop(phase);
         self.report.estimated_sizes = estimated.sizes;
         self.report.estimated_normals = estimated.normals;
+        let summary = *sorted.summary();
+        // Points on a surface that wide have larger sizes, however many they are.
+        let least = summary.root.edge.powi(2) * COINCIDENT_AREA_SHARE;
+        if estimated.sizes == summary.count && summary.area_max < least {
+            self.report.warnings.push(
+                "most points coincide with a dozen others, so that no sizes can be told: nothing blocks or reflects; leave out the copies"
+                    .to_owned(),
+            );
+        }
         self.end_phase("estimate", start, summary.count);
         Ok(sorted)
     }
@@ -397,7 +413,6 @@ impl<'a> Baker<'a> {
             octree: from.octree,
             light: &self.light,
             threads: from.threads,
-            chunk_surfels: self.memory.chunk_surfels,
             radiance_bound,
             phase: &phase,
             cancel: self.cancel,
@@ -405,11 +420,11 @@ impl<'a> Baker<'a> {
         let mut stream = RelitStream::new(sorted, pass);
         let summary = self.stream_summary(&summary, radiance_bound);
         let build = build_octree(&mut stream, &summary, options, target)?;
-        let (reached, gathers) = (stream.radiance_max, stream.gathers);
+        let reached = stream.radiance_max;
         phase.set_done(build.surfels);
         drop(phase);
         let report = PhaseReport::new(name, start.elapsed().as_secs_f64(), build.surfels);
-        self.report.phases.push(report.of_light(bounce, gathers));
+        self.report.phases.push(report.of_light(bounce));
         Ok((build, reached))
     }
 

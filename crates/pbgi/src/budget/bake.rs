@@ -3,6 +3,7 @@
 use crate::PbgiError;
 use crate::budget::resident::resident_bytes;
 use crate::cli::progress::format_bytes;
+use crate::shade::CHUNK_RECEIVERS;
 use pbgi_build::BuildOptions;
 use pbgi_sort::BUDGET_BYTES_MIN;
 use pbgi_store::PIN_BYTES_PER_READER_MIN;
@@ -17,8 +18,6 @@ const THREAD_BYTES: u64 = 1 << 20;
 const MARGIN_BYTES: u64 = 4 << 20;
 /// A surfel being shaded: itself and its code, receiver, order, result twice.
 const SHADED_SURFEL_BYTES: u64 = 256;
-/// Limits below this shade smaller chunks.
-const WHOLE_CHUNK_LIMIT: u64 = 256 << 20;
 
 /// Bytes of the page cache of a program that only reads an octree.
 pub(crate) fn reader_cache_bytes(limit: u64) -> u64 {
@@ -34,20 +33,17 @@ pub(crate) struct BakeMemory {
     lights: bool,
     /// Threads the limit affords, at most those asked for.
     pub threads: usize,
-    /// Surfels shaded at once.
-    pub chunk_surfels: usize,
 }
 
 impl BakeMemory {
     pub fn new(limit: u64, threads: usize, lights: bool) -> Self {
         let affordable = (limit / 8 / THREAD_BYTES) as usize;
-        let chunk_surfels = if limit < WHOLE_CHUNK_LIMIT { 1 << 14 } else { 1 << 16 };
-        Self { limit, lights, threads: threads.clamp(1, affordable.max(1)), chunk_surfels }
+        Self { limit, lights, threads: threads.clamp(1, affordable.max(1)) }
     }
 
     /// Bytes set aside for building and shading.
     pub fn reserve(&self) -> u64 {
-        let chunk = if self.lights { self.chunk_surfels as u64 * SHADED_SURFEL_BYTES } else { 0 };
+        let chunk = if self.lights { CHUNK_RECEIVERS as u64 * SHADED_SURFEL_BYTES } else { 0 };
         BUILD_BYTES + MARGIN_BYTES + chunk + self.threads as u64 * THREAD_BYTES
     }
 

@@ -3,6 +3,8 @@
 use crate::PbgiError;
 use crate::budget::resident::resident_bytes;
 use crate::cli::progress::format_bytes;
+use crate::shade::ShadeSettings;
+use pbgi_gather::block_bytes;
 use serde::Serialize;
 use std::fmt;
 
@@ -39,9 +41,11 @@ impl fmt::Display for MemorySplit {
 
 impl MemorySplit {
     /// A split for what the process holds now, before frame and cache have their shares.
-    pub(crate) fn measure(limit_bytes: u64, threads: usize) -> Self {
+    pub(crate) fn measure(settings: &ShadeSettings) -> Self {
         let resident = resident_bytes().unwrap_or(PROGRAM_BYTES);
-        Self::new(limit_bytes, resident + MARGIN_BYTES + THREAD_BYTES * threads as u64)
+        let blocks = if settings.share { block_bytes(settings.raster_edge) as u64 } else { 0 };
+        let workers = (THREAD_BYTES + blocks) * settings.threads as u64;
+        Self::new(settings.memory_bytes, resident + MARGIN_BYTES + workers)
     }
 
     fn new(limit_bytes: u64, held_bytes: u64) -> Self {

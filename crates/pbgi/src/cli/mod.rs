@@ -35,6 +35,9 @@ pub struct CommonArgs {
     /// How progress is shown on standard error
     #[arg(long, value_enum, value_name = "MODE", default_value = "auto", hide_short_help = true)]
     pub progress: ProgressMode,
+    /// End with exit code 3 if there was a warning
+    #[arg(long, hide_short_help = true)]
+    pub strict: bool,
     /// Tell more
     #[arg(short, long, conflicts_with = "quiet")]
     pub verbose: bool,
@@ -70,6 +73,22 @@ impl CommonArgs {
     #[must_use]
     pub fn start_progress(&self, phase_count: u32) -> Progress {
         Progress::new(self.progress, self.verbosity(), phase_count)
+    }
+
+    /// What becomes of a run with these warnings: what was written stays, and with `--strict` the run ends as one of an input that
+    /// cannot be read as it is.
+    ///
+    /// # Errors
+    ///
+    /// [`PbgiError::Input`] if there is a warning and `--strict` is set.
+    pub fn judge(&self, warnings: &[String]) -> Result<(), PbgiError> {
+        if !self.strict || warnings.is_empty() {
+            return Ok(());
+        }
+        let count = warnings.len();
+        Err(PbgiError::input(format!(
+            "{count} warnings, which --strict forbids; the result was written"
+        )))
     }
 
     /// Refuses limits no tool can keep.

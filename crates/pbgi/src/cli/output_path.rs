@@ -1,5 +1,6 @@
 //! Where temporary files go.
 
+use crate::PbgiError;
 use pbgi_file::{KeptFiles, folder_of};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::Path;
@@ -14,6 +15,25 @@ pub(crate) fn free_bytes(folder: &Path) -> Option<u64> {
 pub(crate) fn are_on_one_disk(a: &Path, b: &Path) -> bool {
     let device = |folder: &Path| rustix::fs::stat(folder).ok().map(|stat| stat.st_dev);
     device(a).is_some_and(|found| Some(found) == device(b))
+}
+
+/// Refuses a name whose suffix tells of another format than what will be in the file. `what` is for the message, in the plural.
+///
+/// # Errors
+///
+/// [`PbgiError::Usage`], naming the suffixes that are right.
+pub fn check_suffix(path: &Path, suffixes: &[&str], what: &str) -> Result<(), PbgiError> {
+    let suffix = path.extension().unwrap_or_default();
+    if suffixes.iter().any(|s| suffix.eq_ignore_ascii_case(s)) {
+        return Ok(());
+    }
+    let expected: Vec<String> = suffixes.iter().map(|s| format!(".{s}")).collect();
+    let preview = if what == "pictures" { " (--preview writes a .png)" } else { "" };
+    Err(PbgiError::usage(format!(
+        "{}: {what} are written as {}{preview}; name such a file (-o)",
+        path.display(),
+        expected.join(", ")
+    )))
 }
 
 /// The files that a bake of `output` leaves in `temp_dir` between its phases. The next run of the same output finds them again; those of
@@ -31,6 +51,17 @@ pub(crate) fn kept_files(temp_dir: &Path, output: &Path) -> KeptFiles {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn suffixes_tell_what_is_written() {
+        let check = |name: &str| check_suffix(Path::new(name), &["exr"], "pictures");
+        assert!(check("a.exr").is_ok() && check("b/a.0001.EXR").is_ok());
+        for name in ["a.png", "a", "exr", "a.exr.gz"] {
+            let error = check(name).unwrap_err();
+            assert_eq!(error.exit_code(), 2);
+            assert!(error.to_string().contains("written as .exr (--preview"), "{error}");
+        }
+    }
 
     #[test]
     fn temporary_names_differ_by_output() {

@@ -4,16 +4,13 @@ pub(crate) mod band;
 pub(crate) mod camera_choice;
 pub(crate) mod camera_file;
 pub(crate) mod contact;
-pub(crate) mod interpolate;
 pub(crate) mod output;
 pub(crate) mod request;
 pub(crate) mod splat;
 
 use crate::budget::split::MemorySplit;
-use crate::cli::progress::Phase;
 use crate::frame::band::{Band, Piece};
 use crate::frame::camera_choice::CameraContext;
-use crate::frame::interpolate::Groups;
 use crate::frame::request::FrameRequest;
 use crate::frame::splat::hide_surfels;
 use crate::shade::target::spread;
@@ -21,14 +18,13 @@ use crate::shade::{Session, ShadeReport, read_header, up_axis};
 use crate::{PbgiError, Progress};
 use output::FrameImage;
 use pbgi_format::Header;
-use pbgi_gather::{GatherParts, Receiver, Shading};
+use pbgi_gather::{Receiver, Shading};
 use pbgi_image::{
     Aov, AovNames, AttributeValue, Image, ImageWindow, StoredChannel, ToneMap, auto_exposure,
     write_png, write_windowed_exr,
 };
-use pbgi_math::{DVec3, Vec3};
+use pbgi_math::DVec3;
 use pbgi_scene::{CameraView, HideOptions, Micropolygon, PixelWindow, Scene, hide};
-use std::borrow::Cow;
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -105,12 +101,6 @@ pub fn shade_frame(
     cancel: &AtomicBool,
 ) -> Result<Frame, PbgiError> {
     request.settings.validate()?;
-    if request.share_pixels > SHARE_PIXELS_MAX {
-        return Err(PbgiError::usage(format!(
-            "the blocks of shared gathers have {} pixels, expected 0 to {SHARE_PIXELS_MAX}",
-            request.share_pixels
-        )));
-    }
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(request.settings.threads)
         .build()
@@ -126,24 +116,17 @@ struct FrameJob<'a> {
     view: CameraView,
     /// World position of the origin of the view's and the pieces' coordinates.
     origin: DVec3,
-    /// Rows that are made at once.
-    band_rows: u32,
     /// Results of the surfels shown so far, by their numbers in the file.
     shaded_surfels: HashMap<u64, Shading>,
     cancel: &'a AtomicBool,
     start: Instant,
 }
 
-/// Rows around a band in which groups of pieces may reach into it: two of the largest blocks, and whole tiles.
-const AROUND_ROWS: u32 = 2 * SHARE_PIXELS_MAX;
-
-/// Largest edge of the blocks in which gathers are shared.
-const SHARE_PIXELS_MAX: u32 = 64;
-
 /// Pixels along the longer edge of the picture whose receivers are measured to choose settings.
 const CALIBRATION_EDGE: u32 = 160;
 
-/// Rows of a tile of hiding: bands of whole tiles shade nothing twice.
+/// Rows of a band, and of a tile of hiding: bands of whole tiles shade nothing twice. Pieces share within a band, so that its size must not follow the
+/// memory limit.
 const TILE_ROWS: u32 = 64;
 
 impl<'a> FrameJob<'a> {
@@ -152,12 +135,10 @@ impl<'a> FrameJob<'a> {
         let settings = &request.settings;
         let header = read_header(request.octree)?;
         let environment = settings.load_environment(&header)?;
-        let split = MemorySplit::measure(settings.memory_bytes, settings.threads);
+        let split = MemorySplit::measure(settings);
         let (image, per_row) = frame_bytes(request);
-        let rows = u64::from(request.height.next_multiple_of(TILE_ROWS));
-        let least = image + per_row * u64::from(TILE_ROWS);
-        let split = split.grant(least, image + per_row * rows)?;
-        let band_rows = ((split.frame_bytes - image) / per_row.max(1)).min(rows) as u32;
+        let frame = image + per_row * u64::from(TILE_ROWS);
+        let split = split.grant(frame, frame)?;
         let extra_readers = usize::from(request.scene.is_none());
         let session =
             Session::open(request.octree, settings, environment, split, extra_readers, cancel)?;
@@ -171,24 +152,13 @@ impl<'a> FrameJob<'a> {
         };
         let camera = context.find(&request.camera)?;
         let view = CameraView { camera, width: request.width, height: request.height };
-        let band_rows = (band_rows / TILE_ROWS * TILE_ROWS).max(TILE_ROWS);
         let shaded_surfels = HashMap::new();
-        Ok(Self {
-            request,
-            header,
-            session,
-            view,
-            origin,
-            band_rows,
-            shaded_surfels,
-            cancel,
-            start,
-        })
+        Ok(Self { request, header, session, view, origin, shaded_surfels, cancel, start })
     }
 
     fn run(mut self, progress: &Progress) -> Result<Frame, PbgiError> {
         let mut image = FrameImage::new(self.request);
-        let bands = self.request.height.div_ceil(self.band_rows);
+        let bands = self.request.height.div_ceil(TILE_ROWS);
         let mut seen = Seen::default();
         let extra = u32::from(self.request.settings.check_receivers > 0)
             + u32::from(self.session.wants_calibration());
@@ -198,21 +168,17 @@ impl<'a> FrameJob<'a> {
             if self.cancel.load(Ordering::Relaxed) {
                 return Err(PbgiError::Interrupted);
             }
-            let y = band * self.band_rows;
-            let height = self.band_rows.min(self.request.height - y);
+            let y = band * TILE_ROWS;
+            let height = TILE_ROWS.min(self.request.height - y);
             let window = PixelWindow { x: 0, y, width: self.request.width, height };
             let phase = progress.start_phase("hide", "rows", Some(u64::from(height)));
             let visible = self.hide(window)?;
-            let around = self.hide_around(window, &visible)?;
             phase.set_done(u64::from(height));
             drop(phase);
             seen.count(&visible);
             let count = visible.pieces.len() as u64;
             let phase = progress.start_phase("shade", "receivers", Some(count));
-            let shadings = match around {
-                Some(around) => self.shade_shared(&visible, &around, &phase)?,
-                None => self.shade(&visible, &|done| phase.set_done(done))?,
-            };
+            let shadings = self.shade(&visible, &|done| phase.set_done(done))?;
             drop(phase);
             let background = self.session.environment.as_ref();
             image.append(&visible, &shadings, background, &self.view, self.origin);
@@ -263,74 +229,14 @@ impl<'a> FrameJob<'a> {
         Ok(Band { pieces, ids: Vec::new(), coverage: visible.coverage })
     }
 
-    /// What is visible in the window and in the rows around it, where pieces share gathers: groups at a band's
-    /// border need all their members. `visible` is what the window itself shows.
-    fn hide_around<'v>(
-        &self,
-        window: PixelWindow,
-        visible: &'v Band,
-    ) -> Result<Option<Cow<'v, [Piece]>>, PbgiError> {
-        if self.request.scene.is_none() || self.request.share_pixels == 0 {
-            return Ok(None);
-        }
-        let y = window.y.saturating_sub(AROUND_ROWS);
-        let end = (window.y + window.height + AROUND_ROWS).min(self.request.height);
-        if end - y == window.height {
-            return Ok(Some(Cow::Borrowed(&visible.pieces)));
-        }
-        Ok(Some(Cow::Owned(self.hide(PixelWindow { y, height: end - y, ..window })?.pieces)))
-    }
-
-    /// The receiver of diffuse light at a place of the frame, in the octree's coordinates.
-    fn receiver(&self, position: Vec3, normal: Vec3) -> Receiver {
-        let shift = self.origin - self.header.origin;
-        Receiver::diffuse((position.as_dvec3() + shift).as_vec3(), normal)
-    }
-
     /// The receiver of a piece, with what it reflects toward the camera.
     fn receiver_of(&self, piece: &Piece) -> Receiver {
         let gloss = self.session.gloss(piece.material, piece.position, self.view.eye());
-        Receiver { gloss, ..self.receiver(piece.position, piece.normal) }
-    }
-
-    /// Shades the pieces of a band, which share gathers with those visible around them.
-    fn shade_shared(
-        &mut self,
-        band: &Band,
-        around: &[Piece],
-        phase: &Phase<'_>,
-    ) -> Result<Vec<Shading>, PbgiError> {
-        self.session.shares = true;
-        let groups = Groups::new(around, &self.view, self.request.share_pixels);
-        let (leaders, places) = groups.needed(&band.pieces);
-        let leaders: Vec<Receiver> = leaders.iter().map(|l| self.receiver(l.0, l.1)).collect();
-        // Progress counts pieces: most of the work is in the leaders.
-        let total = band.pieces.len() as u64;
-        let broad_share = |done: u64| done * total * 3 / (4 * leaders.len().max(1) as u64);
-        let advance = |done: u64| phase.set_done(broad_share(done));
-        let broad = self.session.gather(&leaders, GatherParts::Broad, &advance)?;
-        let receivers: Vec<Receiver> = band.pieces.iter().map(|p| self.receiver_of(p)).collect();
-        let advance = |done: u64| phase.set_done(total * 3 / 4 + done / 4);
-        let mut shadings = self.session.gather(&receivers, GatherParts::Sharp, &advance)?;
-        let means: Vec<Option<Shading>> =
-            band.pieces.iter().map(|p| groups.interpolate(p, &broad, &places)).collect();
-        let alone: Vec<Receiver> = (receivers.iter().zip(&means))
-            .filter(|(_, mean)| mean.is_none())
-            .map(|(receiver, _)| *receiver)
-            .collect();
-        let mut alone = self.session.gather(&alone, GatherParts::Broad, &|_| ())?.into_iter();
-        for (shading, mean) in shadings.iter_mut().zip(means) {
-            let Some(mut broad) = mean.or_else(|| alone.next()) else { continue };
-            for (sum, peak) in
-                broad.environment_irradiance.iter_mut().zip(shading.environment_irradiance)
-            {
-                *sum += peak;
-            }
-            (broad.reflected, broad.gloss_albedo) = (shading.reflected, shading.gloss_albedo);
-            *shading = broad;
-        }
-        self.session.count(&receivers, None, &shadings);
-        Ok(shadings)
+        let shift = self.origin - self.header.origin;
+        let position = (piece.position.as_dvec3() + shift).as_vec3();
+        // Normals may be interpolated over an edge; the surface faces the camera.
+        let plane = if piece.plane.dot(piece.normal) < 0.0 { -piece.plane } else { piece.plane };
+        Receiver { position, normal: piece.normal, plane, gloss }
     }
 
     /// Shades the pieces of a band. Surfels that an earlier band has shown are not shaded again.
@@ -458,7 +364,6 @@ mod tests {
             height: 150,
             samples: 4,
             shading_rate: 4.0,
-            share_pixels: 0,
             aovs: FRAME_AOVS.to_vec(),
             names: AovNames::default(),
             settings: ShadeSettings {
@@ -470,9 +375,9 @@ mod tests {
         }
     }
 
-    /// A limit that makes bands must not show: neither in the image nor in what is measured.
+    /// Blocks share across all that is done at once, which must follow neither the threads nor the limit.
     #[test]
-    fn bands_give_the_image_of_the_whole() {
+    fn neither_threads_nor_memory_change_the_image() {
         let folder = tempfile::tempdir().unwrap();
         let octree = folder.path().join("box.pbgi");
         let bake_request = BakeRequest {
@@ -484,18 +389,16 @@ mod tests {
         let (progress, cancel) = (Progress::silent(), AtomicBool::new(false));
         bake(&bake_request, &progress, &cancel).unwrap();
         let scene = load_scene("demo:cornell").unwrap();
-        for (scene, share_pixels) in [(Some(&scene), 0), (Some(&scene), 5), (None, 0)] {
-            let request = FrameRequest { share_pixels, ..request(&octree, scene) };
-            let make = |band_rows: u32| {
-                let mut job = FrameJob::prepare(&request, &cancel).unwrap();
-                assert_eq!(job.band_rows, 192);
-                job.band_rows = band_rows;
-                job.run(&progress).unwrap()
+        for scene in [Some(&scene), None] {
+            let make = |threads: usize, memory_bytes: u64| {
+                let mut request = request(&octree, scene);
+                request.settings = ShadeSettings { threads, memory_bytes, ..request.settings };
+                FrameJob::prepare(&request, &cancel).unwrap().run(&progress).unwrap()
             };
-            let (whole, bands) = (make(192), make(64));
-            assert!(whole.image == bands.image);
-            assert_eq!(whole.attributes, bands.attributes);
-            assert_eq!(whole.report.receivers, bands.report.receivers);
+            let (one, many) = (make(1, 4 << 30), make(3, 2 << 30));
+            assert!(one.image == many.image);
+            assert_eq!(one.attributes, many.attributes);
+            assert_eq!(one.report.receivers, many.report.receivers);
         }
     }
 }

@@ -118,7 +118,8 @@ impl FrameImage {
     pub fn into_image(self, names: &AovNames) -> Image {
         let mut image = Image::new(self.width, self.height);
         for (aov, channels) in self.planes {
-            for (name, data) in names.channels(aov).into_iter().zip(channels) {
+            for (name, mut data) in names.channels(aov).into_iter().zip(channels) {
+                data.iter_mut().for_each(|value| *value = names.value(aov, *value));
                 image.push(name, data);
             }
         }
@@ -202,13 +203,10 @@ pub(crate) fn frame_attributes(
         ("worldToCamera".to_owned(), Matrix(to_local(view.world_to_camera()))),
         ("worldToNDC".to_owned(), Matrix(to_local(view.world_to_ndc()))),
         ("pbgi:samples".to_owned(), Int(request.samples as i32)),
-        ("pbgi:share".to_owned(), Int(request.share_pixels as i32)),
+        ("pbgi:share".to_owned(), Int(i32::from(request.settings.share))),
         ("pbgi:shadingRate".to_owned(), Float(request.shading_rate)),
     ];
-    if request.share_pixels == 0 {
-        // Gathers shared across the borders of bands count twice, and bands must not show.
-        attributes.push(("pbgi:cutSizeMean".to_owned(), Float(report.cut_mean as f32)));
-    }
+    attributes.push(("pbgi:cutSizeMean".to_owned(), Float(report.cut_mean as f32)));
     attributes.extend(settings_attributes(request.octree, &request.settings, report));
     attributes
 }

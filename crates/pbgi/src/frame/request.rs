@@ -24,9 +24,6 @@ pub struct FrameRequest<'a> {
     pub samples: u32,
     /// Wanted area of a micropolygon in pixels.
     pub shading_rate: f32,
-    /// Edge in pixels of the blocks in which pieces share gathers of broad light, 0 to 64; with 0 each piece gathers for
-    /// itself. Pictures without a scene do not share.
-    pub share_pixels: u32,
     /// Channels to make.
     pub aovs: Vec<Aov>,
     /// Names of the channels.

@@ -90,8 +90,7 @@ pub fn shade_gbuffer(
         )));
     }
     let bytes = result_bytes(&gbuffer, &request.aovs);
-    let split =
-        MemorySplit::measure(settings.memory_bytes, settings.threads).grant(bytes, bytes)?;
+    let split = MemorySplit::measure(settings).grant(bytes, bytes)?;
     let mut session = Session::open(request.octree, settings, environment, split, 0, cancel)?;
     let rules = RowRules { origin: header.origin, eye: None, gloss: settings.gloss };
     let rows = TableReceivers::new(&gbuffer.surfaces, 0, &rules)?;
@@ -236,6 +235,7 @@ fn passed_channels(
 /// A result that grows pixel by pixel; pixels that are never set are 0.
 struct PixelImage {
     image: Image,
+    names: AovNames,
     /// Of each quantity, its first channel.
     planes: Vec<(Aov, usize)>,
     beauty: Vec<[f32; 3]>,
@@ -256,6 +256,7 @@ impl PixelImage {
         }
         Self {
             image,
+            names: request.names.clone(),
             planes,
             beauty: vec![[0.0; 3]; pixels],
             occlusion: vec![0.0; pixels],
@@ -276,7 +277,9 @@ impl PixelImage {
                 Aov::DiffuseIndirect => ([diffuse[0], diffuse[1], diffuse[2], 0.0], 3),
                 Aov::SpecularIndirect => ([gloss[0], gloss[1], gloss[2], 0.0], 3),
                 Aov::Irradiance => ([irradiance[0], irradiance[1], irradiance[2], 0.0], 3),
-                Aov::Occlusion => ([shading.ambient_occlusion, 0.0, 0.0, 0.0], 1),
+                Aov::Occlusion => {
+                    ([self.names.value(*aov, shading.ambient_occlusion), 0.0, 0.0, 0.0], 1)
+                }
                 Aov::SkyVisibility => ([shading.sky_visibility, 0.0, 0.0, 0.0], 1),
                 _ => (shading.bent_normal.extend(0.0).to_array(), 3),
             };

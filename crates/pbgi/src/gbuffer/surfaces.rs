@@ -136,7 +136,11 @@ impl GBuffer {
         for (k, name) in ["view_x", "view_y", "view_z"].into_iter().enumerate() {
             columns.extend(views.iter().map(|v| (name, v.iter().map(|v| v[k]).collect())));
         }
-        let named = |(name, values): (&str, _)| ReceiverColumn { name: name.to_owned(), values };
+        let named = |(name, values): (&str, _)| ReceiverColumn {
+            name: name.to_owned(),
+            values,
+            ..ReceiverColumn::default()
+        };
         self.surfaces.columns = columns.into_iter().map(named).collect();
     }
 

@@ -9,6 +9,7 @@ pub(crate) mod scatter;
 pub(crate) mod table_receivers;
 
 use crate::budget::split::MemorySplit;
+use crate::cli::output_path::check_suffix;
 use crate::outputs::{Output, OutputKind, RunFiles};
 use crate::points::results::ResultWriter;
 use crate::points::rows::PointRows;
@@ -16,8 +17,8 @@ use crate::points::scan::{ScanReader, is_scan, is_scan_name};
 use crate::points::table_receivers::{RowRules, TableReceivers, no_eye};
 use crate::shade::target::spread;
 use crate::shade::{
-    LightSource, Session, ShadeReport, ShadeSettings, chunk_size, gloss_toward, read_header,
-    up_axis,
+    CHUNK_RECEIVERS, LightSource, Session, ShadeReport, ShadeSettings, chunk_bytes, gloss_toward,
+    read_header, up_axis,
 };
 use crate::{PbgiError, Progress};
 use pbgi_cloud::ReceiverTable;
@@ -79,7 +80,7 @@ impl PointsRequest<'_> {
 const SURFEL_BYTES: usize = size_of::<[f32; 5]>();
 /// Bytes of a row beside its receiver: position, normal, and each column.
 const ROW_BYTES: usize = 24;
-const COLUMN_BYTES: usize = 4;
+const COLUMN_BYTES: usize = 12;
 /// Bytes that writing a scan may hold: points as they were and as they will be, and a chunk of the compressor.
 const SCAN_WRITER_BYTES: u64 = 12 << 20;
 
@@ -101,6 +102,7 @@ pub fn shade_points(
     let start = Instant::now();
     let settings = &request.settings;
     settings.validate()?;
+    check_suffix(request.target, &["ply", "npy", "csv", "las", "laz"], "tables")?;
     request.check_files()?;
     let header = read_header(request.octree)?;
     let environment = settings.load_environment(&header)?;
@@ -110,18 +112,18 @@ pub fn shade_points(
         return Err(no_eye());
     }
     let rules = RowRules { origin: header.origin, eye: request.eye, gloss: settings.gloss };
-    let names = rows.as_ref().map(PointRows::names);
-    let mut writer = ResultWriter::create(request, names, origin)?;
-    let attached = names.map_or(SURFEL_BYTES, |names| ROW_BYTES + COLUMN_BYTES * names.len());
-    let (chunk_receivers, chunk_bytes) = chunk_size(settings.memory_bytes, attached);
+    let mut writer = ResultWriter::create(request, rows.as_ref(), origin)?;
+    let attached =
+        rows.as_ref().map_or(SURFEL_BYTES, |rows| ROW_BYTES + COLUMN_BYTES * rows.columns().len());
+    let chunk_bytes = chunk_bytes(attached);
     let writer_bytes = if is_scan_name(request.target) { SCAN_WRITER_BYTES } else { 0 };
     let frame_bytes = chunk_bytes + writer_bytes;
-    let split = MemorySplit::measure(settings.memory_bytes, settings.threads)
-        .grant(frame_bytes, frame_bytes)?;
+    let split = MemorySplit::measure(settings).grant(frame_bytes, frame_bytes)?;
     let extra_readers = usize::from(rows.is_none());
     let mut session =
         Session::open(request.octree, settings, environment, split, extra_readers, cancel)?;
-    let job = PointsJob { rules, chunk_receivers, progress, cancel };
+    session.warnings.extend(lost_elements(rows.as_ref(), request.target));
+    let job = PointsJob { rules, progress, cancel };
     match &mut rows {
         Some(rows) => {
             if session.wants_calibration() {
@@ -142,6 +144,22 @@ pub fn shade_points(
     writer.finish()?;
     report.total_seconds = start.elapsed().as_secs_f64();
     Ok(report)
+}
+
+/// What of a file of receivers its results do not have, where they are not a PLY file.
+fn lost_elements(rows: Option<&PointRows>, target: &Path) -> Option<String> {
+    let is_ply = target.extension().is_some_and(|e| e.eq_ignore_ascii_case("ply"));
+    let elements = rows.map_or(&[][..], PointRows::other_elements);
+    if is_ply || elements.is_empty() {
+        return None;
+    }
+    let names: Vec<String> =
+        elements.iter().map(|e| format!("{} rows of `{}`", e.count, e.name)).collect();
+    Some(format!(
+        "{} has no place for {}; a .ply file keeps them",
+        target.display(),
+        names.join(", ")
+    ))
 }
 
 /// The file of receivers, if they come from one, and the number of phases of the run.
@@ -169,7 +187,6 @@ fn open_rows(
 struct PointsJob<'a> {
     rules: RowRules,
     /// Receivers handed to the workers at once.
-    chunk_receivers: usize,
     progress: &'a Progress,
     cancel: &'a AtomicBool,
 }
@@ -188,7 +205,7 @@ impl SurfelReceivers {
         let material = Material { base_color: surfel.albedo, ..Material::default() };
         let gloss = gloss_toward(self.rules.gloss, material, surfel.center, self.eye);
         let normal = if surfel.isotropic { self.up } else { surfel.normal };
-        Receiver { position: surfel.center, normal, gloss }
+        Receiver { gloss, ..Receiver::diffuse(surfel.center, normal) }
     }
 }
 
@@ -226,7 +243,7 @@ impl PointsJob<'_> {
         let (mut sample, mut table, mut first) = (Vec::new(), ReceiverTable::default(), 0);
         loop {
             self.check_cancelled()?;
-            let more = rows.read_chunk(self.chunk_receivers, &mut table)?;
+            let more = rows.read_chunk(CHUNK_RECEIVERS, &mut table)?;
             let receivers = TableReceivers::new(&table, first as u64, &self.rules)?;
             while let Some(index) = wanted.next_if(|index| *index - first < table.len()) {
                 sample.push(receivers.receiver(index - first));
@@ -256,7 +273,7 @@ impl PointsJob<'_> {
                 while more {
                     self.check_cancelled()?;
                     let mut table = ReceiverTable::default();
-                    more = rows.read_chunk(self.chunk_receivers, &mut table)?;
+                    more = rows.read_chunk(CHUNK_RECEIVERS, &mut table)?;
                     let of_table = TableReceivers::new(&table, first, &self.rules)?;
                     first += table.len() as u64;
                     let receivers = (0..table.len()).map(|row| of_table.receiver(row)).collect();
@@ -268,7 +285,7 @@ impl PointsJob<'_> {
                 let table = &chunk.attached;
                 for (row, shading) in chunk.shadings.iter().enumerate() {
                     let position = table.positions[row].as_dvec3() + table.origin;
-                    let others = passed_columns.iter().map(|i| table.columns[*i].values[row]);
+                    let others = passed_columns.iter().map(|i| table.columns[*i].value(row));
                     writer.write(position, table.normals[row], shading, others)?;
                 }
                 Ok(())
@@ -296,7 +313,7 @@ impl PointsJob<'_> {
                         receivers.push(receiver_of.receiver(surfel));
                         let [r, g, b] = surfel.albedo;
                         others.push([surfel.radius, surfel.area, r, g, b]);
-                        if receivers.len() == self.chunk_receivers {
+                        if receivers.len() == CHUNK_RECEIVERS {
                             let receivers = std::mem::take(&mut receivers);
                             feed.push(Cow::Owned(receivers), std::mem::take(&mut others))?;
                         }
@@ -309,6 +326,7 @@ impl PointsJob<'_> {
                 let results = chunk.receivers.iter().zip(&chunk.shadings).zip(chunk.attached);
                 for ((receiver, shading), others) in results {
                     let position = receiver.position.as_dvec3() + self.rules.origin;
+                    let others = others.map(f64::from);
                     writer.write(position, receiver.normal, shading, others)?;
                 }
                 Ok(())

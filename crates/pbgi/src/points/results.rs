@@ -1,9 +1,10 @@
 //! Results of points on their way into a file: a table, or the scan itself with more dimensions.
 
 use crate::PbgiError;
+use crate::points::rows::PointRows;
 use crate::points::scan::{is_scan, is_scan_name};
 use crate::points::{PointSource, PointsRequest};
-use pbgi_cloud::{LasResultWriter, RowWriter};
+use pbgi_cloud::{LasResultWriter, RowWriter, TypedColumn};
 use pbgi_gather::Shading;
 use pbgi_math::{DVec3, Vec3, luminance};
 
@@ -63,10 +64,11 @@ enum Target {
 
 impl ResultWriter {
     /// Starts the file: the scan of the source again where the target is named as one; else rows of results, then the columns
-    /// `names_in` of the input, or those of surfels without one. Positions are doubles where coordinates are relative to an `origin`.
+    /// of the input in their own types, or those of surfels without one. Positions are doubles where coordinates are relative to an
+    /// `origin`. Elements of a PLY file besides its vertices follow in another.
     pub fn create(
         request: &PointsRequest<'_>,
-        names_in: Option<&[String]>,
+        rows: Option<&PointRows>,
         origin: DVec3,
     ) -> Result<Self, PbgiError> {
         let target = request.target;
@@ -88,18 +90,22 @@ impl ResultWriter {
         let has_gloss = request.settings.gloss.is_some();
         names.extend(GLOSS_COLUMNS.iter().filter(|_| has_gloss));
         let mut passed_columns = Vec::new();
-        match names_in {
-            None => names.extend(SURFEL_COLUMNS),
-            Some(names_in) => {
-                for (index, name) in names_in.iter().enumerate() {
-                    if !names.contains(&name.as_str()) {
-                        names.push(name);
-                        passed_columns.push(index);
-                    }
-                }
+        if rows.is_none() {
+            names.extend(SURFEL_COLUMNS);
+        }
+        let mut columns = TypedColumn::floats(&names, double_count);
+        for (index, column) in rows.map_or(&[][..], PointRows::columns).iter().enumerate() {
+            if columns.iter().all(|own| own.name != column.name) {
+                columns.push(column.clone());
+                passed_columns.push(index);
             }
         }
-        let writer = RowWriter::create(target, &names, double_count)?;
+        let has_elements = rows.is_some_and(|rows| !rows.other_elements().is_empty());
+        let source = match &request.source {
+            PointSource::File(path) if has_elements => Some(path.as_path()),
+            _ => None,
+        };
+        let writer = RowWriter::create_typed(target, columns, source)?;
         let target = Target::Rows(writer, Vec::new());
         Ok(Self { target, has_gloss, passed_columns })
     }
@@ -110,7 +116,7 @@ impl ResultWriter {
         position: DVec3,
         normal: Vec3,
         shading: &Shading,
-        others: impl IntoIterator<Item = f32>,
+        others: impl IntoIterator<Item = f64>,
     ) -> Result<(), PbgiError> {
         let irradiance = shading.irradiance();
         let open = [shading.ambient_occlusion, shading.sky_visibility];
@@ -121,8 +127,8 @@ impl ResultWriter {
                 let floats = normal.to_array().into_iter().chain(irradiance).chain(open);
                 let reflected = shading.reflected.into_iter().filter(|_| self.has_gloss);
                 let floats = floats.chain(shading.bent_normal.to_array());
-                let floats = floats.chain(reflected).chain(others);
-                row.extend(floats.map(f64::from));
+                row.extend(floats.chain(reflected).map(f64::from));
+                row.extend(others);
                 writer.write_rows(row)?;
             }
             Target::Scan(writer, values) => {

@@ -2,7 +2,7 @@
 
 use crate::PbgiError;
 use crate::points::scan::ScanReader;
-use pbgi_cloud::{ReceiverReader, ReceiverTable};
+use pbgi_cloud::{PlyElement, ReceiverReader, ReceiverTable, TypedColumn};
 use pbgi_math::DVec3;
 use std::path::{Path, PathBuf};
 
@@ -36,10 +36,18 @@ impl PointRows {
         }
     }
 
-    /// Names of the columns besides positions and normals.
-    pub fn names(&self) -> &[String] {
+    /// The columns besides positions and normals.
+    pub fn columns(&self) -> &[TypedColumn] {
         match self {
-            Self::Table(_, reader) => reader.names(),
+            Self::Table(_, reader) => reader.columns(),
+            Self::Scan(_) => &[],
+        }
+    }
+
+    /// The elements of the file besides its vertices, such as faces.
+    pub fn other_elements(&self) -> &[PlyElement] {
+        match self {
+            Self::Table(_, reader) => reader.other_elements(),
             Self::Scan(_) => &[],
         }
     }

@@ -3,7 +3,9 @@
 use crate::points::scatter::{InOrder, Scatter};
 use crate::shade::ShadeSettings;
 use crate::{PbgiError, Progress};
-use pbgi_cloud::{CloudError, LAS_MAGIC, LasPlaces, ReceiverTable, Surfel, SurfelSource};
+use pbgi_cloud::{
+    CloudError, LAS_MAGIC, LasPlaces, LasSurvey, ReceiverTable, Surfel, SurfelSource,
+};
 use pbgi_file::open_input;
 use pbgi_math::{DVec3, Vec3, decode_octahedral24};
 use pbgi_sort::{
@@ -65,7 +67,8 @@ impl ScanReader {
         progress: &Progress,
         cancel: &AtomicBool,
     ) -> Result<Self, PbgiError> {
-        let mut places = Places::open(path)?;
+        let survey = LasPlaces::survey(path)?;
+        let mut places = Places::open(path, survey)?;
         let count = places.count();
         let mut scatter = Scatter::create(temp_dir, count)?;
         if count > 0 {
@@ -81,7 +84,7 @@ impl ScanReader {
             };
             estimate_normals(&mut places, &options, up, &mut scatter)?;
         }
-        let (path, places) = (path.to_owned(), Places::open(path)?);
+        let (path, places) = (path.to_owned(), Places::open(path, survey)?);
         Ok(Self { path, places, normals: scatter.finish()?, up })
     }
 
@@ -90,7 +93,7 @@ impl ScanReader {
         self.places.count()
     }
 
-    /// World position of the coordinate origin: near the first point.
+    /// World position of the coordinate origin: near most points.
     pub fn origin(&self) -> DVec3 {
         self.places.origin
     }
@@ -101,7 +104,7 @@ impl ScanReader {
     ///
     /// If the file cannot be opened again.
     pub fn rewind(&mut self) -> Result<(), PbgiError> {
-        self.places = Places::open(&self.path)?;
+        self.places = Places::open(&self.path, self.places.survey)?;
         self.normals.rewind();
         Ok(())
     }
@@ -135,6 +138,7 @@ fn estimate_normals(
     scatter: &mut Scatter,
 ) -> Result<(), PbgiError> {
     let sorted = sort_surfels(places, options)?;
+    places.strays.iter().try_for_each(|&index| scatter.put(index, NO_NORMAL))?;
     let estimate = EstimateOptions { normals: true, up };
     let (mut sorted, _) = estimate_surfels(sorted, &estimate, options)?;
     sorted.rewind();
@@ -153,11 +157,14 @@ fn estimate_normals(
     }
 }
 
-/// The places of a scan relative to an origin near the first, one after the other.
+/// The places of a scan relative to an origin near most of them, one after the other.
 struct Places {
     path: PathBuf,
     file: LasPlaces,
+    survey: LasSurvey,
     origin: DVec3,
+    /// Indices of the strays read so far.
+    strays: Vec<u64>,
     /// Read from the file, and how far they are handed out.
     ahead: Vec<DVec3>,
     used: usize,
@@ -165,12 +172,19 @@ struct Places {
 }
 
 impl Places {
-    fn open(path: &Path) -> Result<Self, CloudError> {
+    fn open(path: &Path, survey: LasSurvey) -> Result<Self, CloudError> {
         let (mut file, mut ahead) = (LasPlaces::open(path)?, Vec::new());
         file.read_chunk(&mut ahead)?;
-        let first = ahead.first().filter(|place| place.is_finite());
-        let origin = first.map_or(DVec3::ZERO, |place| place.round());
-        Ok(Self { path: path.to_owned(), file, origin, ahead, used: 0, done: 0 })
+        let (path, origin) = (path.to_owned(), survey.origin);
+        let strays = Vec::new();
+        Ok(Self { path, file, survey, origin, strays, ahead, used: 0, done: 0 })
+    }
+
+    /// Whether a position is far from all others: where neighbors are looked for, strays may not take the levels of the rest.
+    fn is_stray(&self, position: Vec3) -> bool {
+        let place = position.as_dvec3() + self.origin;
+        let holds = |[min, max]: [DVec3; 2]| place.cmpge(min).all() && place.cmple(max).all();
+        self.survey.limits.is_some_and(|limits| !holds(limits))
     }
 
     fn count(&self) -> u64 {
@@ -206,14 +220,17 @@ impl SurfelSource for Places {
     }
 
     fn count(&self) -> Option<u64> {
-        Some(self.file.count())
+        self.survey.limits.is_none().then(|| self.file.count())
     }
 
     fn read_chunk(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
         for _ in 0..CHUNK {
             let index = self.done;
             let Some(position) = self.next_position()? else { break };
-            out.push(tagged(position, index));
+            match self.is_stray(position) {
+                true => self.strays.push(index),
+                false => out.push(tagged(position, index)),
+            }
         }
         Ok(self.done < self.file.count())
     }

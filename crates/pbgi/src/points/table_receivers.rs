@@ -123,6 +123,7 @@ mod tests {
         let column = |(name, value): &(&str, f32)| ReceiverColumn {
             name: (*name).to_owned(),
             values: vec![*value],
+            ..ReceiverColumn::default()
         };
         ReceiverTable {
             origin: DVec3::ZERO,

@@ -16,7 +16,7 @@ use pbgi_format::{Channels, Header};
 use pbgi_gather::{
     GatherParts, GatherSettings, Gloss, ImportanceTerms, Material, PreparedLight, Receiver, Shading,
 };
-use pbgi_image::read_environment_within;
+use pbgi_image::read_environment_noting_within;
 use pbgi_light::{Environment, EnvironmentOptions, UpAxis};
 use pbgi_math::Vec3;
 use pbgi_schedule::{
@@ -31,21 +31,15 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
-/// Receivers handed to the workers at once, at most.
-pub(crate) const CHUNK_RECEIVERS: usize = 1 << 16;
-/// Receivers handed to the workers at once, at least: two batches for each of many workers.
-const CHUNK_RECEIVERS_MIN: usize = 1 << 12;
-/// Share of the memory limit that chunks under way may take.
-const CHUNKS_SHARE: u64 = 16;
+/// Receivers handed to the workers at once. Blocks that share are of one chunk, so that it must depend neither on threads nor on memory.
+pub(crate) const CHUNK_RECEIVERS: usize = 1 << 14;
 
-/// Receivers of a chunk within a memory limit, where each has `attached_bytes` beside it, and the bytes of all chunks under way.
-pub(crate) fn chunk_size(memory_bytes: u64, attached_bytes: usize) -> (usize, u64) {
+/// Bytes of all chunks under way, where each receiver has `attached_bytes` beside it.
+pub(crate) fn chunk_bytes(attached_bytes: usize) -> u64 {
     // What is read into the next chunk and written from the last is held besides those in flight.
-    let each = (CHUNKS_IN_FLIGHT * RECEIVER_BYTES_IN_FLIGHT
-        + (CHUNKS_IN_FLIGHT + 2) * attached_bytes) as u64;
-    let fitting = usize::try_from(memory_bytes / CHUNKS_SHARE / each).unwrap_or(CHUNK_RECEIVERS);
-    let receivers = fitting.clamp(CHUNK_RECEIVERS_MIN, CHUNK_RECEIVERS);
-    (receivers, receivers as u64 * each)
+    let each =
+        CHUNKS_IN_FLIGHT * RECEIVER_BYTES_IN_FLIGHT + (CHUNKS_IN_FLIGHT + 2) * attached_bytes;
+    (CHUNK_RECEIVERS * each) as u64
 }
 
 /// Where distant light comes from.
@@ -55,6 +49,15 @@ pub enum LightSource {
     File(PathBuf),
     /// The same radiance from every direction, W·m⁻²·sr⁻¹.
     Uniform([f32; 3]),
+}
+
+/// Distant light, ready to be used.
+#[derive(Clone, Debug)]
+pub struct LoadedEnvironment {
+    /// The light.
+    pub environment: Environment,
+    /// What of its file was left out or read differently, one sentence each.
+    pub warnings: Vec<String>,
 }
 
 /// Distant light and how it is placed.
@@ -93,12 +96,13 @@ impl EnvironmentSpec {
     ///
     /// If the image cannot be read, is not equirectangular, or has a negative or non-finite pixel; if a
     /// uniform color, the rotation or the scale is out of range.
-    pub fn load(&self, z_up: bool, memory_limit: u64) -> Result<Environment, PbgiError> {
+    pub fn load(&self, z_up: bool, memory_limit: u64) -> Result<LoadedEnvironment, PbgiError> {
         match &self.source {
             LightSource::Uniform(rgb) => {
                 let radiance = rgb.map(|c| c * self.scale);
                 if radiance.iter().all(|c| c.is_finite() && *c >= 0.0) {
-                    return Ok(Environment::uniform(radiance));
+                    let environment = Environment::uniform(radiance);
+                    return Ok(LoadedEnvironment { environment, warnings: Vec::new() });
                 }
                 Err(PbgiError::usage(format!(
                     "the environment's color is ({}, {}, {}), expected finite values of at least 0",
@@ -106,17 +110,20 @@ impl EnvironmentSpec {
                 )))
             }
             LightSource::File(path) => {
-                let image = read_within(memory_limit, |allowance| {
-                    read_environment_within(path, allowance)
+                let read = read_within(memory_limit, |allowance| {
+                    read_environment_noting_within(path, allowance)
                 })?;
+                let named = |warning| format!("{}: {warning}", path.display());
+                let warnings = read.warnings.into_iter().map(named).collect();
                 let options = EnvironmentOptions {
                     rotate_degrees: self.rotate_degrees,
                     scale: self.scale,
                     up: if z_up { UpAxis::Z } else { UpAxis::Y },
                     ..EnvironmentOptions::default()
                 };
-                Environment::from_image(image, options)
-                    .map_err(|source| PbgiError::Environment { path: path.clone(), source })
+                let environment = Environment::from_image(read.image, options)
+                    .map_err(|source| PbgiError::Environment { path: path.clone(), source })?;
+                Ok(LoadedEnvironment { environment, warnings })
             }
         }
     }
@@ -173,6 +180,8 @@ pub struct ShadeSettings {
     pub importance: ImportanceTerms,
     /// Texels along a face of the cube raster, 1 to 64.
     pub raster_edge: usize,
+    /// Whether receivers that are near each other share what is far from them; else each draws all for itself.
+    pub share: bool,
     /// Glossy reflections, if any.
     pub gloss: Option<GlossSettings>,
     /// Surfels that rise less than this share of their radius above a receiver's tangent plane are its
@@ -209,6 +218,7 @@ impl Default for ShadeSettings {
             target_error: None,
             importance: gather.importance,
             raster_edge: gather.raster_edge,
+            share: true,
             gloss: None,
             bias: gather.bias,
             environment: None,
@@ -253,7 +263,7 @@ impl ShadeSettings {
     pub(crate) fn load_environment(
         &self,
         header: &Header,
-    ) -> Result<Option<Environment>, PbgiError> {
+    ) -> Result<Option<LoadedEnvironment>, PbgiError> {
         let load = |spec: &EnvironmentSpec| spec.load(header.flags.z_up, self.memory_bytes);
         self.environment.as_ref().map(load).transpose()
     }
@@ -264,6 +274,7 @@ impl ShadeSettings {
             importance: self.importance,
             raster_edge: self.raster_edge,
             bias: self.bias,
+            parallax: if self.share { GatherSettings::SHARED_PARALLAX } else { 0.0 },
             up: up_axis(header),
             ..GatherSettings::default()
         }
@@ -294,8 +305,6 @@ pub(crate) struct Session<'a> {
     /// The file that requests for pages are recorded in.
     trace: Option<PathBuf>,
     target: Option<TargetReport>,
-    /// Whether receivers share gathers, so that the check tells what sharing costs.
-    pub shares: bool,
     done: ScheduleReport,
     memory: MemorySplit,
     /// What the user should know of, one sentence each.
@@ -308,11 +317,14 @@ impl<'a> Session<'a> {
     pub fn open(
         path: &Path,
         settings: &ShadeSettings,
-        environment: Option<Environment>,
+        environment: Option<LoadedEnvironment>,
         memory: MemorySplit,
         extra_readers: usize,
         cancel: &'a AtomicBool,
     ) -> Result<Self, PbgiError> {
+        let (environment, warnings) =
+            environment.map(|loaded| (loaded.environment, loaded.warnings)).unzip();
+        let mut warnings: Vec<String> = warnings.unwrap_or_default();
         let options = OpenOptions {
             cache_bytes: memory.cache_bytes,
             readers: settings.threads + extra_readers,
@@ -330,7 +342,6 @@ impl<'a> Session<'a> {
             None => PreparedLight::new,
         };
         let light = environment.as_ref().map(|e| prepare(e, settings.raster_edge));
-        let mut warnings = Vec::new();
         if light.is_none() && octree.header().channels == Channels::Occlusion {
             warnings.push(
                 "there is no light: the file stores none and no environment is given; AO, sky \
@@ -350,7 +361,6 @@ impl<'a> Session<'a> {
             target_error: settings.target_error,
             trace: settings.io.trace.clone(),
             target: None,
-            shares: false,
             done: ScheduleReport::default(),
             memory,
             warnings,
@@ -539,7 +549,7 @@ impl<'a> Session<'a> {
         let receivers: Vec<Receiver> = sample.iter().map(|s| s.receiver).collect();
         let phase = progress.start_phase("check", "receivers", Some(receivers.len() as u64));
         let options = ShadeOptions {
-            gather: GatherSettings { solid_angle_sr: 0.0, ..self.gather },
+            gather: GatherSettings { solid_angle_sr: 0.0, parallax: 0.0, ..self.gather },
             threads: self.threads,
             cancel: self.cancel,
             progress: &|done| phase.set_done(done),
@@ -550,9 +560,9 @@ impl<'a> Session<'a> {
         drop(phase);
         let seconds = start.elapsed().as_secs_f64();
         let mut alone = None;
-        if self.shares {
+        if self.gather.parallax > 0.0 {
             let (threads, cancel) = (self.threads, self.cancel);
-            let gather = self.gather;
+            let gather = GatherSettings { parallax: 0.0, ..self.gather };
             let options = ShadeOptions { gather, threads, cancel, ..ShadeOptions::default() };
             let (own, _) = shade_receivers(&self.octree, light, &receivers, &options)?;
             alone = AloneReport::new(&own, &references).ok();

@@ -26,7 +26,8 @@ fn irradiance(raster: &CubeRaster, table: &CubeRasterTable, normal: Vec3) -> f32
     let texels = table.texels().iter().enumerate();
     texels
         .map(|(i, t)| {
-            raster.chunk(i / LANES).radiance[0][i % LANES] * normal.dot(t.vector).max(0.0)
+            raster.chunk(i / LANES, None).unwrap_or_default().radiance[0][i % LANES]
+                * normal.dot(t.vector).max(0.0)
         })
         .sum()
 }
@@ -80,7 +81,9 @@ fn a_perpendicular_disk_matches_quadrature() {
 
 /// What the light of the small piece drawn last, which lies `toward`, weighs in a texel.
 fn weight_of_last(raster: &CubeRaster, index: usize, toward: Vec3) -> f32 {
-    let tilt = &raster.tilts[index].cosine;
+    let (column, row) = (index % raster.stride, index / raster.stride % raster.n);
+    let face = CubeFace((index / raster.stride / raster.n) as u8);
+    let tilt = raster.tilt(face, row, column, raster.above[index]).cosine;
     if let Some(hit) = raster.hits.iter().find(|hit| hit.index as usize == index) {
         return tilt.mean(hit.visible);
     }
@@ -108,10 +111,12 @@ fn small_pieces_carry_their_solid_angle_wherever_they_fall() {
             let footprint = raster.footprint(aabb.min, aabb.max);
             raster.draw::<Plain, _>(&[(disk, ink(solid_angle, 1.0))], &footprint, center);
             let texels = table.texels().iter().enumerate();
-            let lit = texels.filter(|(i, _)| raster.lights[*i].radiance[0] > 0.0);
+            let is_lit = |i: usize| raster.lit[i / raster.stride] >> (i % raster.stride) & 1 != 0;
+            let lit = texels.filter(|(i, _)| is_lit(*i) && raster.lights[*i].radiance[0] > 0.0);
             let found: f32 = lit
                 .map(|(i, t)| {
-                    let light = raster.chunk(i / LANES).radiance[0][i % LANES];
+                    let light =
+                        raster.chunk(i / LANES, None).unwrap_or_default().radiance[0][i % LANES];
                     light / weight_of_last(&raster, i, d) * t.solid_angle_sr
                 })
                 .sum();
@@ -244,7 +249,7 @@ fn nearer_pieces_hide_farther_ones_but_not_their_neighbors() {
         raster.clear::<Plain>(Vec3::Y);
         let whole = table.texels()[up].solid_angle_sr;
         draw_section(&mut raster, (low, high), Vec3::Y, &ink(1.0, 0.0));
-        let light = raster.chunk(up / LANES).radiance[0][up % LANES];
+        let light = raster.chunk(up / LANES, None).unwrap_or_default().radiance[0][up % LANES];
         assert_eq!(light, 0.0);
         let small = Vec3::new(0.05, 1.0, 0.05) * scale;
         let piece = (small - 0.01, small + 0.01);
@@ -270,7 +275,7 @@ fn shares_of_a_covered_texel_sum_to_one() {
         let bounds = (low - 1e-3, high + 1e-3);
         draw_section(&mut raster, bounds, Vec3::Y, &ink(share * whole, 3.0));
     }
-    let light = raster.chunk(up / LANES).radiance[0][up % LANES];
+    let light = raster.chunk(up / LANES, None).unwrap_or_default().radiance[0][up % LANES];
     assert!((light - 3.0).abs() < 1e-3, "{light}");
 }
 
@@ -294,11 +299,11 @@ fn tiny_pieces_over_the_horizon_fill_the_sky() {
         }
     }
     let (mut crossed, mut shares) = (0f32, 0f32);
-    for (texel, light) in raster.texels.iter().zip(&raster.lights) {
-        if texel.above == ALL {
+    for (above, light) in raster.above.iter().zip(&raster.lights) {
+        if *above == ALL {
             assert!((light.radiance[0] - 1.0).abs() < 0.1, "{}", light.radiance[0]);
-        } else if texel.above != 0 {
-            let above = texel.above.count_ones() as f32;
+        } else if *above != 0 {
+            let above = above.count_ones() as f32;
             crossed += above;
             shares += light.radiance[0] * above;
         }
@@ -330,7 +335,7 @@ fn two_triangles_are_their_rectangle() {
         let mut raster = CubeRaster::new(&table, false);
         raster.clear::<Plain>(Vec3::Y);
         draw(&mut raster);
-        raster.texels.iter().map(|t| t.covered & t.above).collect::<Vec<u16>>()
+        raster.covered.iter().zip(&raster.above).map(|(c, a)| c & a).collect::<Vec<u16>>()
     };
     for i in 0..60u32 {
         let f = |k: u32| (i.wrapping_mul(k) >> 7) as f32 % 1009.0 / 504.0 - 1.0;
@@ -399,7 +404,7 @@ impl WideKernel for Everything {
                 raster.draw::<L, _>(&[(section, ink)], &footprint, center);
             }
         }
-        let chunks = (0..48).map(|i| raster.chunk(i));
+        let chunks = (0..48).map(|i| raster.chunk(i, None).unwrap_or_default());
         chunks
             .flat_map(|c| c.covered.into_iter().chain(c.radiance.into_iter().flatten()))
             .map(f32::to_bits)

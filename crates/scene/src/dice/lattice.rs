@@ -312,6 +312,13 @@ impl Cell {
         self.edges[0].position.dot(other) < 0.0
     }
 
+    /// Barycentric coordinates of the corners of the rectangle that it is, or is the half of.
+    pub fn corners(&self) -> [DVec3; 4] {
+        let [u, v] = self.edges.map(|edge| edge.barycentric);
+        let corner = self.corner.barycentric;
+        [corner, corner + u, corner + v, corner + u + v]
+    }
+
     /// Barycentric coordinates of the points of a regular `edge` × `edge` grid over the cell that lie
     /// in it; the centroid if none does. Calls `visit` with each.
     pub fn visit_grid(&self, edge: u32, mut visit: impl FnMut(DVec3)) {

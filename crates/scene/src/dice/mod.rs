@@ -5,18 +5,30 @@ mod spacing;
 mod surface;
 mod triangle;
 
-use crate::{Instance, Scene};
+use crate::{Instance, Mesh, Scene, Texture};
 use pbgi_cloud::{CloudError, Surfel, SurfelSource};
 use pbgi_math::Aabb;
 use rayon::prelude::*;
 use std::ops::Range;
-use triangle::{DicedPatch, InstanceView, Patch};
+use std::sync::atomic::{AtomicBool, Ordering};
+use triangle::{DicedPatch, InstanceView, Patch, RUN_CELLS, Work};
 
 /// Surfels appended by one call of [`SurfelSource::read_chunk`], give or take those of one cell.
 const CHUNK_SURFELS: usize = 4096;
 
 /// Triangles of one task when counting; no two triangles of different runs are diced as one.
 const RUN_TRIANGLES: usize = 1024;
+
+/// Rows that are skipped as one where all their cells are holes.
+const ROWS_SKIPPED: u64 = 64;
+
+/// Micropolygons looked at by one call of [`SurfelSource::read_chunk`], about, where nearly all are holes.
+const CHUNK_CELLS: u64 = 1 << 18;
+
+/// Micropolygons of masked surfaces looked at to count surfels at one spacing, at most, and those for each surfel asked for. What is
+/// seen to be a hole as a whole does not count. Where so little is left between holes that more are needed, the spacing stays coarser.
+const COUNTED_CELLS_MAX: u64 = 1 << 24;
+const COUNTED_CELLS_PER_SURFEL: u64 = 64;
 
 /// How fine to dice.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -72,6 +84,9 @@ pub enum DiceError {
         /// Number of things it may point to.
         count: usize,
     },
+    /// The flag that may stop it was set.
+    #[error("interrupted")]
+    Stopped,
 }
 
 /// The micropolygons of a scene as a stream of surfels, in the order of instances, triangles, rows
@@ -86,7 +101,7 @@ pub enum DiceError {
 /// mask cuts holes, micropolygons near as large as the spacing are quartered, up to twice; of what is partly hole then, the area is scaled by the opaque share, the radius by
 /// its root, and what is all hole is left out.
 ///
-/// Triangles without area are skipped and counted.
+/// Triangles without area are skipped and counted; surfaces that are all hole are skipped unseen.
 pub struct DicedScene<'a> {
     meshes: Meshes<'a>,
     spacing: f64,
@@ -97,11 +112,16 @@ pub struct DicedScene<'a> {
 }
 
 /// What is diced.
-#[derive(Clone, Copy)]
 struct Meshes<'a> {
     scene: &'a Scene,
     two_sided: TwoSided,
+    /// Of each mesh, whether all of it is hole.
+    holes: Vec<bool>,
+    stop: &'a AtomicBool,
 }
+
+/// What never stops.
+static NEVER: AtomicBool = AtomicBool::new(false);
 
 /// The place in the stream.
 #[derive(Default)]
@@ -119,6 +139,7 @@ struct Cursor<'a> {
 #[derive(Clone, Copy, Default)]
 struct Totals {
     area: f64,
+    visible_area: f64,
     /// In squares of the spacing times its square: two-sided surfaces count twice, coarse ones less.
     weighted_area: f64,
     degenerate_count: u64,
@@ -133,19 +154,41 @@ impl<'a> DicedScene<'a> {
     ///
     /// If the spacing is not above 0, or an index in the scene points to nothing.
     pub fn new(scene: &'a Scene, options: DiceOptions) -> Result<Self, DiceError> {
+        Self::new_until(scene, options, &NEVER)
+    }
+
+    /// As [`DicedScene::new`], which ends soon after `stop` is set.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`DicedScene::new`], and [`DiceError::Stopped`].
+    pub fn new_until(
+        scene: &'a Scene,
+        options: DiceOptions,
+        stop: &'a AtomicBool,
+    ) -> Result<Self, DiceError> {
         validate(scene)?;
-        let meshes = Meshes { scene, two_sided: options.two_sided };
+        let holes = find_holes(scene);
+        let meshes = Meshes { scene, two_sided: options.two_sided, holes, stop };
         let totals = meshes.sum_triangles();
         let found = match options.spacing {
             Spacing::Length(length) if length > 0.0 => {
                 let spacing = f64::from(length);
-                spacing::Evaluation { spacing, count: meshes.count_surfels(spacing) }
+                let count = meshes.count_surfels(spacing, u64::MAX).unwrap_or(0);
+                spacing::Evaluation { spacing, count }
             }
             Spacing::Length(found) => return Err(DiceError::Spacing { found }),
             Spacing::Count(target) => {
-                spacing::find_spacing(target, totals.weighted_area, |h| meshes.count_surfels(h))
+                let cells_max = COUNTED_CELLS_PER_SURFEL.saturating_mul(target);
+                let cells_max = cells_max.max(COUNTED_CELLS_MAX);
+                spacing::find_spacing(target, totals.weighted_area, |h| {
+                    meshes.count_surfels(h, cells_max)
+                })
             }
         };
+        if stop.load(Ordering::Relaxed) {
+            return Err(DiceError::Stopped);
+        }
         Ok(Self {
             meshes,
             spacing: found.spacing,
@@ -169,10 +212,29 @@ impl<'a> DicedScene<'a> {
         self.totals.area
     }
 
+    /// Area that gives surfels, in scene units squared: as [`DicedScene::area`], without what is all hole.
+    #[must_use]
+    pub fn visible_area(&self) -> f64 {
+        self.totals.visible_area
+    }
+
     /// Triangles without area, which give no surfel.
     #[must_use]
     pub fn degenerate_count(&self) -> u64 {
         self.totals.degenerate_count
+    }
+
+    /// Names of the materials whose surfaces are all hole and give no surfel, in the order of the scene.
+    #[must_use]
+    pub fn hole_materials(&self) -> Vec<&'a str> {
+        let scene = self.meshes.scene;
+        let mut is_named = vec![false; scene.materials.len()];
+        for instance in &scene.instances {
+            let material = scene.meshes[instance.mesh as usize].material as usize;
+            is_named[material] |= self.meshes.holes[instance.mesh as usize];
+        }
+        let named = scene.materials.iter().zip(is_named).filter(|(_, is_named)| *is_named);
+        named.map(|(material, _)| material.name.as_str()).collect()
     }
 
     /// Starts the stream again.
@@ -193,11 +255,12 @@ impl SurfelSource for DicedScene<'_> {
 
     fn read_chunk(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
         let end = out.len() + CHUNK_SURFELS;
-        while out.len() < end {
-            if !self.cursor.find_patch(self.meshes, self.spacing) {
+        let mut cells = 0;
+        while out.len() < end && cells < CHUNK_CELLS {
+            if !self.cursor.find_patch(&self.meshes, self.spacing) {
                 return Ok(false);
             }
-            self.cursor.read_row(end, out);
+            cells += self.cursor.read_row(end, CHUNK_CELLS, out);
         }
         Ok(true)
     }
@@ -205,11 +268,12 @@ impl SurfelSource for DicedScene<'_> {
 
 impl<'a> Cursor<'a> {
     /// Moves on to the next patch if none is being read; `false` at the end of the scene.
-    fn find_patch(&mut self, meshes: Meshes<'a>, spacing: f64) -> bool {
+    fn find_patch(&mut self, meshes: &Meshes<'a>, spacing: f64) -> bool {
         while self.patch.is_none() {
             let Some(instance) = meshes.scene.instances.get(self.instance) else { return false };
             let view = *self.view.get_or_insert_with(|| meshes.view(instance));
-            if self.next_triangle == view.mesh.triangles.len() {
+            let is_hole = meshes.holes[instance.mesh as usize];
+            if is_hole || self.next_triangle == view.mesh.triangles.len() {
                 *self = Self { instance: self.instance + 1, ..Self::default() };
                 continue;
             }
@@ -220,12 +284,28 @@ impl<'a> Cursor<'a> {
         true
     }
 
-    /// Appends surfels of the current row until it or the room up to `end` is used up.
-    fn read_row(&mut self, end: usize, out: &mut Vec<Surfel>) {
-        let Some(patch) = &mut self.patch else { return };
+    /// Appends surfels of the current row until it, the room up to `end`, or the number of cells is used up. Returns how many
+    /// cells were looked at.
+    fn read_row(&mut self, end: usize, cells_max: u64, out: &mut Vec<Surfel>) -> u64 {
+        let Some(patch) = &mut self.patch else { return 0 };
         let lattice = patch.lattices.pieces[self.piece];
+        let mut read = 1;
+        if self.column == 0 && self.row.is_multiple_of(ROWS_SKIPPED) {
+            let rows = self.row..lattice.row_count().min(self.row + ROWS_SKIPPED);
+            if patch.are_holes(self.piece, rows.clone()) {
+                (self.row, self.column) = (rows.end - 1, lattice.column_count(rows.end - 1));
+            }
+        }
         let columns = lattice.column_count(self.row);
-        while self.column < columns && out.len() < end {
+        while self.column < columns && out.len() < end && read < cells_max {
+            read += 1;
+            if self.column.is_multiple_of(RUN_CELLS) {
+                let run_end = columns.min(self.column + RUN_CELLS);
+                if patch.is_hole_run(self.piece, self.row, self.column..run_end) {
+                    self.column = run_end;
+                    continue;
+                }
+            }
             patch.push_surfels(self.piece, &lattice.cell(self.column, self.row), out);
             self.column += 1;
         }
@@ -238,6 +318,7 @@ impl<'a> Cursor<'a> {
         if self.piece == patch.lattices.piece_count {
             (self.patch, self.piece) = (None, 0);
         }
+        read
     }
 }
 
@@ -271,29 +352,63 @@ impl<'a> Meshes<'a> {
                     None => totals.degenerate_count += 1,
                 }
             }
-            Totals { weighted_area: totals.area * view.surfel_density(), ..totals }
+            if self.is_hole(view) {
+                return totals;
+            }
+            let (visible_area, density) = (totals.area, view.surfel_density());
+            Totals { visible_area, weighted_area: totals.area * density, ..totals }
         });
         // In order: the sum is the same for any number of threads.
         runs.iter().fold(Totals::default(), |sum, run| Totals {
             area: sum.area + run.area,
+            visible_area: sum.visible_area + run.visible_area,
             weighted_area: sum.weighted_area + run.weighted_area,
             degenerate_count: sum.degenerate_count + run.degenerate_count,
         })
     }
 
-    fn count_surfels(&self, spacing: f64) -> u64 {
+    /// Surfels at a spacing; `None` if more than `cells_max` micropolygons of masked surfaces must be looked at.
+    fn count_surfels(&self, spacing: f64, cells_max: u64) -> Option<u64> {
+        let work = Work::new(self.stop, cells_max);
         let runs = self.map_runs(|view, run| {
+            if self.is_hole(view) {
+                return 0;
+            }
             let (mut index, mut count) = (run.start, 0u64);
-            while index < run.end {
+            while index < run.end && !work.is_over() {
                 let patch = view.patch(index);
                 index += patch.as_ref().map_or(1, Patch::triangle_count);
-                let surfels = patch.map_or(0, |p| view.count_surfels(&p, spacing));
+                let surfels = patch.map_or(0, |p| view.count_surfels(&p, spacing, &work));
                 count = count.saturating_add(surfels);
             }
             count
         });
-        runs.into_iter().fold(0, u64::saturating_add)
+        (!work.is_too_much()).then(|| runs.into_iter().fold(0, u64::saturating_add))
     }
+
+    fn is_hole(&self, view: &InstanceView) -> bool {
+        self.holes[view.mesh_index as usize]
+    }
+}
+
+/// Of each mesh, whether all of it is hole.
+fn find_holes(scene: &Scene) -> Vec<bool> {
+    // Textures are searched once each.
+    let texel_max: Vec<f32> = (scene.materials.par_iter())
+        .map(|material| {
+            let masked = material.alpha_cutoff.and(material.base_color_texture);
+            let texture = masked.and_then(|texture| scene.textures.get(texture as usize));
+            texture.map_or(1.0, Texture::alpha_max)
+        })
+        .collect();
+    let is_hole = |mesh: &Mesh| {
+        let material = mesh.material as usize;
+        let Some(cutoff) = scene.materials[material].alpha_cutoff else { return false };
+        let vertex_max = mesh.alphas.iter().copied().reduce(f32::max).unwrap_or(1.0);
+        let texel_max = if mesh.uvs.is_empty() { 1.0 } else { texel_max[material] };
+        texel_max * vertex_max < cutoff
+    };
+    scene.meshes.iter().map(is_hole).collect()
 }
 
 /// Checks every index that dicing follows.
@@ -326,7 +441,7 @@ fn validate(scene: &Scene) -> Result<(), DiceError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Material, Mesh, Texture};
+    use crate::Material;
     use pbgi_cloud::SurfelFlags;
     use pbgi_math::{Affine3A, Mat3, Vec2, Vec3};
 
@@ -655,6 +770,83 @@ mod tests {
         // A cutoff above 1 without a texture: all hole.
         scene.materials[0] = Material { alpha_cutoff: Some(1.5), ..Material::default() };
         assert!(dice(&scene, Spacing::Length(0.1), TwoSided::All).is_empty());
+    }
+
+    #[test]
+    fn surfaces_that_are_all_hole_end_at_once() {
+        let glass = |alphas: &[f32], cutoff| {
+            let material = Material { alpha_cutoff: Some(cutoff), ..Material::default() };
+            let mesh = Mesh { alphas: alphas.to_vec(), ..square() };
+            scene_of(mesh, Material { name: "glass".into(), ..material })
+        };
+        let clear = |alpha| Texture::new(2, 1, vec![[0, 0, 0, alpha]; 2], true).unwrap();
+        let mut textured = glass(&[], 0.5);
+        textured.materials[0].base_color_texture = Some(0);
+        textured.textures.push(clear(100));
+        for (scene, is_hole) in [
+            (glass(&[], f32::INFINITY), true),
+            (glass(&[0.2; 4], 0.5), true),
+            (glass(&[0.2, 0.2, 0.2, 0.6], 0.5), false),
+            (glass(&[], 0.9), false),
+            (textured, true),
+        ] {
+            for spacing in [Spacing::Count(2000), Spacing::Length(1e-6)] {
+                if !is_hole && spacing == Spacing::Length(1e-6) {
+                    continue;
+                }
+                let options = DiceOptions { spacing, two_sided: TwoSided::None };
+                let diced = DicedScene::new(&scene, options).unwrap();
+                assert_eq!(diced.count() == Some(0), is_hole, "{:?}", diced.count());
+                let names: &[&str] = if is_hole { &["glass"] } else { &[] };
+                assert_eq!(diced.hole_materials(), names);
+            }
+        }
+    }
+
+    /// A frame of a ten thousandth of the square: one texel of many.
+    #[test]
+    fn little_between_holes_is_found_within_bounds() {
+        let mut texels = vec![[255, 255, 255, 0]; 128 * 128];
+        texels[64 * 128 + 64] = [255; 4];
+        let material = Material {
+            base_color_texture: Some(0),
+            alpha_cutoff: Some(0.5),
+            ..Material::default()
+        };
+        let mut scene = scene_of(square(), material);
+        scene.textures.push(Texture::new(128, 128, texels, true).unwrap());
+        for target in [100, 10_000, 200_000] {
+            let options =
+                DiceOptions { spacing: Spacing::Count(target), two_sided: TwoSided::None };
+            let mut diced = DicedScene::new(&scene, options).unwrap();
+            let count = diced.count().unwrap();
+            assert!((count as f64 / target as f64 - 1.0).abs() < 0.1, "{count} of {target}");
+            let surfels = read_all(&mut diced);
+            assert_eq!(surfels.len() as u64, count);
+            // Bilinear alpha is above one half in a square of a texel, rounded at its corners.
+            let texels = area_of(&surfels) * 128.0 * 128.0;
+            assert!((0.5..1.1).contains(&texels), "{texels}");
+        }
+    }
+
+    #[test]
+    fn dicing_stops_when_it_is_told_to() {
+        let stop = AtomicBool::new(true);
+        let options = DiceOptions { spacing: Spacing::Count(100), two_sided: TwoSided::None };
+        let scene = scene_of(square(), Material::default());
+        assert!(matches!(DicedScene::new_until(&scene, options, &stop), Err(DiceError::Stopped)));
+    }
+
+    /// The right half fades from 1 to 0: of the whole, three quarters are above one half.
+    #[test]
+    fn alpha_of_vertices_cuts_holes() {
+        let material = Material { alpha_cutoff: Some(0.5), ..Material::default() };
+        let mesh = Mesh { alphas: vec![1.0, 0.25, 0.25, 1.0], ..square() };
+        let scene = scene_of(mesh, material);
+        let surfels = dice(&scene, Spacing::Length(0.01), TwoSided::None);
+        // 1 − 0.75 x = 0.5 at x = 2/3.
+        assert!((area_of(&surfels) * 1.5 - 1.0).abs() < 0.02, "{}", area_of(&surfels));
+        assert!(surfels.iter().all(|s| s.center().x < 0.68));
     }
 
     #[test]

@@ -19,10 +19,16 @@ pub(super) struct Evaluation {
 ///
 /// Starts at √(`area` / `target`), then interpolates linearly in the logarithms of spacing and count
 /// between the nearest known spacings on both sides, or extrapolates as count ∝ spacing⁻².
-/// Deterministic. An infinite spacing is returned where even one surfel per triangle is too many.
-pub(super) fn find_spacing(target: u64, area: f64, count: impl Fn(f64) -> u64) -> Evaluation {
-    let evaluate = |spacing: f64| Evaluation { spacing, count: count(spacing) };
+/// Deterministic. An infinite spacing is returned where even one surfel per triangle is too many. `count` gives `None` where counting
+/// would take too long: no finer spacing is then tried.
+pub(super) fn find_spacing(
+    target: u64,
+    area: f64,
+    count: impl Fn(f64) -> Option<u64>,
+) -> Evaluation {
+    let evaluate = |spacing: f64| Some(Evaluation { spacing, count: count(spacing)? });
     let fewest = evaluate(f64::INFINITY);
+    let fewest = fewest.unwrap_or(Evaluation { spacing: f64::INFINITY, count: target });
     if target <= fewest.count || !area.is_normal() {
         return fewest;
     }
@@ -31,9 +37,18 @@ pub(super) fn find_spacing(target: u64, area: f64, count: impl Fn(f64) -> u64) -
     let (mut fine, mut coarse): (Option<Evaluation>, Option<Evaluation>) = (None, None);
     let mut best = fewest;
     let mut spacing = (area / target as f64).sqrt();
+    let mut too_fine = 0.0f64;
     for _ in 1..EVALUATIONS_MAX {
-        let now = evaluate(spacing);
-        if error(now) < error(best) {
+        // Half way back to what could be counted.
+        if spacing <= too_fine {
+            spacing = (too_fine * coarse.map_or(4.0 * too_fine, |c| c.spacing)).sqrt();
+        }
+        let Some(now) = evaluate(spacing) else {
+            too_fine = spacing;
+            continue;
+        };
+        let both_none = now.count == 0 && best.count == 0;
+        if error(now) < error(best) || both_none {
             best = now;
         }
         if (ratio(now) - 1.0).abs() <= TOLERANCE {
@@ -65,7 +80,7 @@ mod tests {
                 if target <= count(f64::INFINITY) {
                     continue;
                 }
-                let found = find_spacing(target, 10.0, count);
+                let found = find_spacing(target, 10.0, |h| Some(count(h)));
                 assert!((found.count as f64 / target as f64 - 1.0).abs() <= 0.02, "{found:?}");
                 assert_eq!(found.count, count(found.spacing));
             }
@@ -74,14 +89,24 @@ mod tests {
 
     #[test]
     fn targets_below_the_fewest_give_the_fewest() {
-        let found = find_spacing(10, 1.0, |h| 12 + (1.0 / (h * h)) as u64);
+        let found = find_spacing(10, 1.0, |h| Some(12 + (1.0 / (h * h)) as u64));
         assert_eq!(found, Evaluation { spacing: f64::INFINITY, count: 12 });
-        assert_eq!(find_spacing(10, 0.0, |_| 0).count, 0);
+        assert_eq!(find_spacing(10, 0.0, |_| Some(0)).count, 0);
+    }
+
+    #[test]
+    fn nothing_finer_is_tried_than_what_can_be_counted() {
+        // One in ten thousand is no hole; what is finer than 0.01 takes too long.
+        let count = |h: f64| (h >= 0.01).then(|| (1e-4 / (h * h)) as u64);
+        let found = find_spacing(1000, 1.0, count);
+        assert!(found.spacing >= 0.01 && found.spacing < 0.013, "{found:?}");
+        assert_eq!(find_spacing(10, 1.0, |_| Some(0)).count, 0);
+        assert!(find_spacing(10, 1.0, |_| None).spacing.is_infinite());
     }
 
     #[test]
     fn jumps_end_the_search_at_the_nearest_count() {
-        let found = find_spacing(100, 1.0, |h| if h < 0.1 { 120 } else { 72 });
+        let found = find_spacing(100, 1.0, |h| Some(if h < 0.1 { 120 } else { 72 }));
         assert_eq!(found.count, 120);
     }
 }

@@ -25,6 +25,7 @@ pub(super) struct TriangleSurface<'a> {
     surface: Surface<'a>,
     uvs: [Vec2; 3],
     colors: [[f32; 3]; 3],
+    alphas: [f32; 3],
     /// Area in texture coordinates over area in space.
     uv_density: f64,
 }
@@ -61,7 +62,7 @@ impl<'a> Surface<'a> {
         self.material.alpha_cutoff.is_some()
     }
 
-    /// Whether texture coordinates and colors, where they matter, are linear over the parallelogram of two triangles: one
+    /// Whether texture coordinates, colors and alphas, where they matter, are linear over the parallelogram of two triangles: one
     /// with corner `i` and one with corner `j` opposite the edge they share.
     pub fn is_linear(&self, triangles: [usize; 2], [i, j]: [usize; 2]) -> bool {
         let [p, q] = triangles.map(|index| self.mesh.triangles[index].map(|v| v as usize));
@@ -78,8 +79,10 @@ impl<'a> Surface<'a> {
         let uvs_linear =
             !textured || is_linear(&|v| uv(v).x, span) && is_linear(&|v| uv(v).y, span);
         let color = |v: usize, c: usize| self.mesh.colors.get(v).map_or(1.0, |color| color[c]);
+        let alpha = |v: usize| self.mesh.alphas.get(v).copied().unwrap_or(1.0);
         uvs_linear
             && (self.mesh.colors.is_empty() || (0..3).all(|c| is_linear(&|v| color(v, c), 1.0)))
+            && (!self.is_masked() || self.mesh.alphas.is_empty() || is_linear(&alpha, 1.0))
     }
 
     /// Triangle `index` of the mesh, whose area in space is `area`.
@@ -87,9 +90,10 @@ impl<'a> Surface<'a> {
         let corners = self.mesh.triangles[index];
         let uvs = corners.map(|v| self.mesh.uvs.get(v as usize).copied().unwrap_or(Vec2::ZERO));
         let colors = corners.map(|v| self.mesh.colors.get(v as usize).copied().unwrap_or([1.0; 3]));
+        let alphas = corners.map(|v| self.mesh.alphas.get(v as usize).copied().unwrap_or(1.0));
         let (a, b) = (uvs[1] - uvs[0], uvs[2] - uvs[0]);
         let uv_area = 0.5 * f64::from(a.perp_dot(b)).abs();
-        TriangleSurface { surface: *self, uvs, colors, uv_density: uv_area / area }
+        TriangleSurface { surface: *self, uvs, colors, alphas, uv_density: uv_area / area }
     }
 }
 
@@ -112,19 +116,32 @@ impl TriangleSurface<'_> {
         }
     }
 
+    /// Whether all between cells is a hole, of which these are at the corners.
+    pub fn is_hole_between(&self, cells: &[Cell]) -> bool {
+        let Some(cutoff) = self.surface.material.alpha_cutoff else { return false };
+        let vertex = self.alphas.into_iter().fold(0f32, f32::max);
+        let Some(texture) = self.surface.base_color else { return vertex < cutoff };
+        let uvs = || cells.iter().flat_map(Cell::corners).map(|corner| self.uv(corner));
+        let min = uvs().fold(Vec2::INFINITY, Vec2::min);
+        let max = uvs().fold(Vec2::NEG_INFINITY, Vec2::max);
+        texture.alpha_max_within(min, max) * vertex < cutoff
+    }
+
     /// Share of `cell` that is not a hole, from up to 4 × 4 samples of the alpha.
     pub fn opaque_fraction(&self, cell: &Cell) -> f64 {
         let Some(cutoff) = self.surface.material.alpha_cutoff else { return 1.0 };
-        let Some(texture) = self.surface.base_color else {
-            return f64::from(u8::from(cutoff <= 1.0));
-        };
+        let texture = self.surface.base_color;
         // Two samples per texel see every edge that bilinear lookup can show.
-        let grid = 2.0 * self.texel_footprint(texture, cell);
+        let grid = texture.map_or(1.0, |t| 2.0 * self.texel_footprint(t, cell));
         let grid = (grid.ceil() as u32).clamp(1, ALPHA_GRID_MAX);
+        let fades = self.alphas != [self.alphas[0]; 3];
+        let grid = if fades { ALPHA_GRID_MAX } else { grid };
         let (mut opaque, mut total) = (0u32, 0u32);
         cell.visit_grid(grid, |barycentric| {
+            let texel = texture.map_or(1.0, |t| t.sample_alpha(self.uv(barycentric)));
+            let alpha = texel * self.alpha(barycentric);
             total += 1;
-            opaque += u32::from(texture.sample_alpha(self.uv(barycentric)) >= cutoff);
+            opaque += u32::from(alpha >= cutoff);
         });
         f64::from(opaque) / f64::from(total)
     }
@@ -138,6 +155,16 @@ impl TriangleSurface<'_> {
         let b = barycentric.as_vec3();
         let [p, q, r] = self.colors;
         std::array::from_fn(|c| p[c] * b.x + q[c] * b.y + r[c] * b.z)
+    }
+
+    fn alpha(&self, barycentric: DVec3) -> f32 {
+        let [p, q, r] = self.alphas;
+        // Not rounded where it is the same everywhere: it is compared.
+        if p == q && q == r {
+            return p;
+        }
+        let b = barycentric.as_vec3();
+        p * b.x + q * b.y + r * b.z
     }
 
     /// Edge, in texels, of a square as large as `cell` in the texture.

@@ -6,12 +6,41 @@ use super::{RUN_TRIANGLES, TwoSided};
 use crate::{Instance, Mesh, Scene};
 use pbgi_cloud::{Surfel, SurfelFlags};
 use pbgi_math::{Affine3A, DVec3, encode_octahedral24};
+use std::ops::Range;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 /// How far the fourth corner of a rectangle may be off, as a share of its longer edge.
 const FLAT_TOLERANCE: f64 = 1e-4;
 
 /// Cells at the edge of a hole are quartered while the root of their area is above this share of the spacing: twice at most.
 const HOLE_SHARE_MIN: f64 = 0.3;
+
+/// Cells of a row that are skipped as one where all are holes.
+pub(super) const RUN_CELLS: u64 = 64;
+
+/// Counting that may have to end before it is done.
+pub(super) struct Work<'a> {
+    stop: &'a AtomicBool,
+    /// Cells looked at so far, and how many may be.
+    done: AtomicU64,
+    most: u64,
+}
+
+impl<'a> Work<'a> {
+    pub fn new(stop: &'a AtomicBool, most: u64) -> Self {
+        Self { stop, done: AtomicU64::new(0), most }
+    }
+
+    /// Whether more cells were looked at than may be. It does not depend on who looks at which.
+    pub fn is_too_much(&self) -> bool {
+        self.done.load(Ordering::Relaxed) > self.most
+    }
+
+    /// Whether the rest is of no use.
+    pub fn is_over(&self) -> bool {
+        self.is_too_much() || self.stop.load(Ordering::Relaxed)
+    }
+}
 
 /// Most surfels of one cell: all its parts, both sides.
 #[cfg(test)]
@@ -21,6 +50,7 @@ pub(super) const CELL_SURFELS_MAX: usize = 2 * 16;
 #[derive(Clone, Copy)]
 pub(super) struct InstanceView<'a> {
     pub mesh: &'a Mesh,
+    pub mesh_index: u32,
     transform: Affine3A,
     flips: bool,
     surface: Surface<'a>,
@@ -144,6 +174,7 @@ impl<'a> InstanceView<'a> {
         let material = &scene.materials[mesh.material as usize];
         Self {
             mesh,
+            mesh_index: instance.mesh,
             transform: instance.transform,
             flips: instance.flips(),
             surface: Surface::new(scene, mesh, material),
@@ -212,12 +243,17 @@ impl<'a> InstanceView<'a> {
         (is_parallelogram && !is_skew && self.surface.is_linear([index, next], [i, j])).then_some(i)
     }
 
-    /// Surfels of a patch.
-    pub fn count_surfels(&self, patch: &Patch, spacing: f64) -> u64 {
+    /// Micropolygons of a patch, holes included.
+    pub fn count_cells(&self, patch: &Patch, spacing: f64) -> u64 {
+        patch.lattices(spacing * self.spacing_factor).cell_count()
+    }
+
+    /// Surfels of a patch; too few once `work` is over.
+    pub fn count_surfels(&self, patch: &Patch, spacing: f64, work: &Work<'_>) -> u64 {
         let cells = if self.is_masked() {
-            self.dice(patch, spacing).count_opaque_cells()
+            self.dice(patch, spacing).count_opaque_cells(work)
         } else {
-            patch.lattices(spacing * self.spacing_factor).cell_count()
+            self.count_cells(patch, spacing)
         };
         cells.saturating_mul(self.side_count())
     }
@@ -261,18 +297,60 @@ impl<'a> InstanceView<'a> {
 }
 
 impl DicedPatch<'_> {
-    /// Micropolygons that are not all hole.
-    fn count_opaque_cells(&self) -> u64 {
+    /// Micropolygons that are not all hole; too few once `work` is over.
+    fn count_opaque_cells(&self, work: &Work<'_>) -> u64 {
+        let pieces = 0..self.lattices.piece_count;
+        pieces.map(|p| self.count_rows(p, 0..self.lattices.pieces[p].row_count(), work)).sum()
+    }
+
+    fn count_rows(&self, piece: usize, rows: Range<u64>, work: &Work<'_>) -> u64 {
+        if rows.is_empty() || work.is_over() || self.are_holes(piece, rows.clone()) {
+            return 0;
+        }
+        let lattice = &self.lattices.pieces[piece];
+        if rows.end - rows.start > 1 {
+            let middle = rows.start.midpoint(rows.end);
+            let halves = [rows.start..middle, middle..rows.end];
+            return halves.into_iter().map(|half| self.count_rows(piece, half, work)).sum();
+        }
+        let columns = lattice.column_count(rows.start);
+        (0..columns)
+            .step_by(RUN_CELLS as usize)
+            .map(|first| {
+                let run = first..columns.min(first + RUN_CELLS);
+                self.count_run(piece, rows.start, run, work)
+            })
+            .sum()
+    }
+
+    fn count_run(&self, piece: usize, row: u64, columns: Range<u64>, work: &Work<'_>) -> u64 {
+        if self.is_hole_run(piece, row, columns.clone()) {
+            return 0;
+        }
+        work.done.fetch_add(columns.end - columns.start, Ordering::Relaxed);
         let mut count = 0;
-        for lattice in self.lattices.pieces() {
-            for row in 0..lattice.row_count() {
-                for column in 0..lattice.column_count(row) {
-                    let cell = lattice.cell(column, row);
-                    visit_opaque(&self.surface, &cell, self.part_area_min, &mut |_, _| count += 1);
-                }
-            }
+        for column in columns {
+            let cell = self.lattices.pieces[piece].cell(column, row);
+            visit_opaque(&self.surface, &cell, self.part_area_min, &mut |_, _| count += 1);
         }
         count
+    }
+
+    /// Whether all cells of these rows, of which there is at least one, are holes for sure.
+    pub fn are_holes(&self, piece: usize, rows: Range<u64>) -> bool {
+        let lattice = &self.lattices.pieces[piece];
+        let ends =
+            |row: u64| [lattice.cell(0, row), lattice.cell(lattice.column_count(row) - 1, row)];
+        // The piece is convex, and so is what lies between the ends of its first and its last row.
+        self.masked
+            && self.surface.is_hole_between(&[ends(rows.start), ends(rows.end - 1)].concat())
+    }
+
+    /// Whether all cells of a part of a row, of which there is at least one, are holes for sure.
+    pub fn is_hole_run(&self, piece: usize, row: u64, columns: Range<u64>) -> bool {
+        let lattice = &self.lattices.pieces[piece];
+        let ends = [columns.start, columns.end - 1].map(|column| lattice.cell(column, row));
+        self.masked && self.surface.is_hole_between(&ends)
     }
 
     /// Appends the surfels of `cell` of a piece: one, or two back to back, or none if it is a hole; more if it has holes.

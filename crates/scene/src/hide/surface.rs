@@ -109,15 +109,14 @@ impl SceneTriangle<'_> {
         turned.try_normalize().filter(|normal| normal.dot(geometric) > 1e-3).unwrap_or(geometric)
     }
 
-    /// Whether the texture has a hole at barycentric coordinates.
+    /// Whether the surface has a hole at barycentric coordinates.
     pub fn is_hole(&self, weights: [f32; 3]) -> bool {
         let Some(cutoff) = self.material.alpha_cutoff else { return false };
         let texture = self.texture(self.material.base_color_texture);
         let uv = interpolated(&self.mesh.uvs, self.vertices, weights);
-        match (texture, uv) {
-            (Some(texture), Some(uv)) => texture.sample_alpha(uv) < cutoff,
-            _ => false,
-        }
+        let texel = texture.zip(uv).map_or(1.0, |(texture, uv)| texture.sample_alpha(uv));
+        let vertex = interpolated(&self.mesh.alphas, self.vertices, weights).unwrap_or(1.0);
+        texel * vertex < cutoff
     }
 
     /// Color and emission at barycentric coordinates, filtered over a micropolygon that is
@@ -169,6 +168,12 @@ impl Attribute for Vec2 {
 }
 
 impl Attribute for Vec3 {
+    fn blend([a, b, c]: [Self; 3], [u, v, w]: [f32; 3]) -> Self {
+        a * u + b * v + c * w
+    }
+}
+
+impl Attribute for f32 {
     fn blend([a, b, c]: [Self; 3], [u, v, w]: [f32; 3]) -> Self {
         a * u + b * v + c * w
     }

@@ -1,6 +1,7 @@
 //! The containers of glTF: GLB chunks, data URIs, files beside the JSON.
 
 use crate::SceneError;
+use crate::find_file::find_file;
 use crate::resources::Resources;
 use std::ops::Deref;
 use std::path::Path;
@@ -89,7 +90,11 @@ pub(super) fn resolve_uri(
     let name = decode_percent(uri)
         .and_then(|bytes| String::from_utf8(bytes).ok())
         .ok_or_else(|| malformed("bad %-escape in a file name"))?;
-    let file = path.parent().unwrap_or(Path::new("")).join(name);
+    let file = find_file(path, &name).ok_or_else(|| {
+        let file = path.parent().unwrap_or(Path::new("")).join(&name);
+        let source = std::io::Error::new(std::io::ErrorKind::NotFound, "there is no such file");
+        SceneError::io(&file, "read", source)
+    })?;
     resources.read_referred(&file)
 }
 
@@ -120,6 +125,10 @@ pub(super) fn load_buffers<'a>(
     resources: &Resources,
 ) -> Result<Vec<Buffer<'a>>, SceneError> {
     let load = |(i, buffer): (usize, &gltf::json::Buffer)| {
+        // What nothing refers to need not be there.
+        if root.buffer_views.iter().all(|view| view.buffer.value() != i) {
+            return Ok(Buffer::Chunk(&[]));
+        }
         let data = match (&buffer.uri, binary) {
             (Some(uri), _) => {
                 Buffer::Read(resolve_uri(path, &format!("buffer {i}"), uri, resources)?)

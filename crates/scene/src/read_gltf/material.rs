@@ -2,11 +2,13 @@
 
 use super::accessor::Accessors;
 use super::container::{Buffer, resolve_uri};
-use crate::decode_texture::{TextureSize, decode_texture};
-use crate::resources::Resources;
-use crate::{Material, SceneError, Texture};
+use super::prepare::Extras;
+use crate::decode_texture::{TextureSize, decode_image, texels_of};
+use crate::resources::{Resources, is_lack_of_memory};
+use crate::{Material, Scene, SceneError, Texture, Wrap};
 use gltf::json::Root;
 use gltf::material::AlphaMode;
+use gltf::texture::WrappingMode;
 use pbgi_math::Vec2;
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -25,6 +27,8 @@ pub(super) struct UvSource {
 pub(super) struct Materials {
     pub materials: Vec<Material>,
     pub textures: Vec<Texture>,
+    /// Index of the gray one for primitives without any.
+    default: usize,
     /// One per material; `None` without textures.
     pub uv_sources: Vec<Option<UvSource>>,
     pub warnings: Vec<String>,
@@ -36,6 +40,20 @@ struct TextureKey {
     image: usize,
     keeps_alpha: bool,
     srgb: bool,
+    wrap: [Wrap; 2],
+}
+
+impl TextureKey {
+    fn new(info: &gltf::texture::Info, firsts: &[usize], keeps_alpha: bool, srgb: bool) -> Self {
+        let image = firsts[info.texture().source().index()];
+        let sampler = info.texture().sampler();
+        let wrap = [sampler.wrap_s(), sampler.wrap_t()].map(|mode| match mode {
+            WrappingMode::Repeat => Wrap::Repeat,
+            WrappingMode::ClampToEdge => Wrap::Clamp,
+            WrappingMode::MirroredRepeat => Wrap::Mirror,
+        });
+        Self { image, keeps_alpha, srgb, wrap }
+    }
 }
 
 impl UvSource {
@@ -58,47 +76,133 @@ impl UvSource {
     }
 }
 
-/// Reads all materials, and last, under the index after theirs, one for primitives without any.
+/// Reads all materials. Textures that cannot be read are left out with a warning: the shape matters more than its color.
 pub(super) fn read_materials(
     path: &Path,
     document: &gltf::Document,
     accessors: Accessors,
+    extras: &Extras,
     resources: &Resources,
 ) -> Result<Materials, SceneError> {
-    let mut keys = Keys { firsts: first_of_equals(accessors.root), keys: Vec::new() };
-    let mut result =
-        Materials { materials: vec![], textures: vec![], uv_sources: vec![], warnings: vec![] };
+    let mut keys = Keys { firsts: first_of_equals(accessors.root, extras), keys: Vec::new() };
+    let mut result = Materials {
+        materials: vec![],
+        textures: vec![],
+        default: document.materials().len(),
+        uv_sources: vec![],
+        warnings: vec![],
+    };
     for material in document.materials() {
-        let (material, uv_source) = read_material(&material, &mut keys, &mut result.warnings);
+        let (mut material, uv_source) = read_material(&material, &mut keys, &mut result.warnings);
+        let number = result.materials.len();
+        if let Some(&factor) = extras.transmissions.get(&number) {
+            result.warnings.push(let_through(&mut material, factor));
+        }
         result.materials.push(material);
         result.uv_sources.push(uv_source);
     }
-    result.textures = decode_images(path, accessors, &keys.keys, resources)?;
+    let source = Source { path, accessors, extras, resources };
+    let textures = source.decode_all(&keys.keys)?;
+    // Where each went.
+    let mut places = Vec::new();
+    for texture in textures {
+        let texture = texture.transpose();
+        let texture = texture.unwrap_or_else(|e| {
+            if !result.warnings.contains(&e) {
+                result.warnings.push(e);
+            }
+            None
+        });
+        places.push(texture.map(|texture| {
+            result.textures.push(texture);
+            result.textures.len() as u32 - 1
+        }));
+    }
+    let place = |key: Option<u32>| key.and_then(|key| places[key as usize]);
     let metal_maps =
         document.materials().map(|m| metallic_roughness_key(&m, &keys.firsts)).collect::<Vec<_>>();
     let mut known = HashMap::new();
     for (material, key) in result.materials.iter_mut().zip(metal_maps) {
-        if let Some(key) = key {
-            let means = match known.get(&key.image) {
-                Some(means) => *means,
-                None => {
-                    let image = Image::find(path, accessors, key, resources)?;
-                    // It is held for its mean only.
-                    resources.check(path, image.size.decoding_bytes() + image.size.held_bytes())?;
-                    let means = metallic_roughness_means(&image.decode(path)?);
-                    known.insert(key.image, means);
-                    means
-                }
-            };
-            apply_metallic_roughness(means, material);
-            let text = "has a metallic-roughness texture; its mean is used";
-            result.warnings.push(format!("material {} {text}", material.name));
+        material.base_color_texture = place(material.base_color_texture);
+        let glow = place(material.emission_texture);
+        if material.emission_texture.is_some() && glow.is_none() {
+            material.emission = [0.0; 3];
         }
-        drop_needless_cutoff(material, &result.textures);
+        material.emission_texture = glow;
+        let Some(key) = key else { continue };
+        let name = &material.name;
+        let means = match known.get(&key.image) {
+            Some(means) => means,
+            None => {
+                let means = source.find_means(key)?;
+                known.entry(key.image).or_insert(means)
+            }
+        };
+        result.warnings.push(match means {
+            Some(Ok(means)) => {
+                let text = "has a metallic-roughness texture; its mean is used";
+                let text = format!("material {name} {text}");
+                apply_metallic_roughness(*means, material);
+                text
+            }
+            found => {
+                let why = found.as_ref().and_then(|e| e.as_ref().err()).map_or("", String::as_str);
+                let text =
+                    "has a metallic-roughness texture that is not read; it is taken for no metal";
+                let text = format!("material {name} {text}. {why}");
+                material.metallic = 0.0;
+                text
+            }
+        });
     }
-    result.materials.push(Material { name: "default".into(), ..Material::default() });
-    result.uv_sources.push(None);
     Ok(result)
+}
+
+/// What light passes through is left out, as what blends below one half is.
+fn let_through(material: &mut Material, factor: f32) -> String {
+    let name = &material.name;
+    if factor > 0.5 {
+        let text =
+            format!("material {name} lets light through (transmission {factor}); it is left out");
+        material.alpha_cutoff = Some(f32::INFINITY);
+        return text;
+    }
+    format!(
+        "material {name} lets some light through (transmission {factor}, or by a texture); it blocks all of it here"
+    )
+}
+
+impl Materials {
+    /// Index of the material of primitives without any: gray, or where vertices have colors, of those.
+    pub fn default_index(&self, is_colored: bool) -> usize {
+        self.default + usize::from(is_colored)
+    }
+
+    /// Puts materials and textures into the scene whose meshes use them; those for primitives without any only where there are such.
+    pub fn finish(mut self, scene: &mut Scene) {
+        for (number, material) in self.materials.iter_mut().enumerate() {
+            let meshes = scene.meshes.iter().filter(|mesh| mesh.material as usize == number);
+            let alphas = meshes.flat_map(|mesh| &mesh.alphas).copied();
+            drop_needless_cutoff(material, &self.textures, alphas.reduce(f32::min).unwrap_or(1.0));
+        }
+        for base_color in [Material::default().base_color, [1.0; 3]] {
+            let next =
+                scene.meshes.iter().any(|mesh| mesh.material as usize == self.materials.len());
+            let colored = self.default + 1;
+            if next {
+                self.materials.push(Material {
+                    name: "default".into(),
+                    base_color,
+                    ..Material::default()
+                });
+            } else if base_color != [1.0; 3] {
+                // Those of the colored one move up.
+                let moved = scene.meshes.iter_mut().filter(|m| m.material as usize == colored);
+                moved.for_each(|mesh| mesh.material = self.default as u32);
+            }
+        }
+        (scene.materials, scene.textures) = (self.materials, self.textures);
+    }
 }
 
 fn read_material(
@@ -121,8 +225,7 @@ fn read_material(
     // The factor belongs to the alpha; our cutoff is compared with that of the texture alone.
     let alpha_cutoff = cutoff.map(|c| if alpha > 0.0 { c / alpha } else { f32::INFINITY });
     let mut add_texture = |info: &gltf::texture::Info, keeps_alpha| {
-        let image = keys.firsts[info.texture().source().index()];
-        let key = TextureKey { image, keeps_alpha, srgb: true };
+        let key = TextureKey::new(info, &keys.firsts, keeps_alpha, true);
         let place = keys.keys.iter().position(|k| *k == key);
         place.unwrap_or_else(|| {
             keys.keys.push(key);
@@ -164,8 +267,7 @@ fn read_specular(material: &gltf::Material) -> f32 {
 
 fn metallic_roughness_key(material: &gltf::Material, firsts: &[usize]) -> Option<TextureKey> {
     let info = material.pbr_metallic_roughness().metallic_roughness_texture()?;
-    let image = firsts[info.texture().source().index()];
-    Some(TextureKey { image, keeps_alpha: false, srgb: false })
+    Some(TextureKey::new(&info, firsts, false, false))
 }
 
 /// Means of roughness, in green, and metalness, in blue.
@@ -181,10 +283,10 @@ fn apply_metallic_roughness([roughness, metallic]: [f32; 2], material: &mut Mate
 }
 
 /// A surface without a single hole is cheaper as an opaque one.
-fn drop_needless_cutoff(material: &mut Material, textures: &[Texture]) {
+fn drop_needless_cutoff(material: &mut Material, textures: &[Texture], vertex_min: f32) {
     let texture = material.base_color_texture.and_then(|t| textures.get(t as usize));
     let alpha_min = texture.map_or(1.0, Texture::alpha_min);
-    if material.alpha_cutoff.is_some_and(|cutoff| cutoff <= alpha_min) {
+    if material.alpha_cutoff.is_some_and(|cutoff| cutoff <= alpha_min * vertex_min) {
         material.alpha_cutoff = None;
     }
 }
@@ -197,65 +299,125 @@ struct Keys {
 }
 
 /// Of each image the first that names the same file, or the same part of a buffer: it is decoded once.
-fn first_of_equals(root: &Root) -> Vec<usize> {
+fn first_of_equals(root: &Root, extras: &Extras) -> Vec<usize> {
     let mut firsts = HashMap::new();
     let source =
         |image: &gltf::json::Image| (image.buffer_view.map(|view| view.value()), image.uri.clone());
-    let images = root.images.iter().enumerate();
-    images.map(|(index, image)| *firsts.entry(source(image)).or_insert(index)).collect()
+    let first = |(index, image)| match index < extras.image_count {
+        true => *firsts.entry(source(image)).or_insert(index),
+        false => index,
+    };
+    root.images.iter().enumerate().map(first).collect()
 }
 
 /// An image whose header is read.
 struct Image<'a> {
     key: TextureKey,
+    /// Empty where the bytes alone tell its kind.
+    name: &'a str,
     bytes: Buffer<'a>,
     size: TextureSize,
 }
 
-impl<'a> Image<'a> {
-    fn find(
-        path: &Path,
-        accessors: Accessors<'a>,
-        key: TextureKey,
-        resources: &Resources,
-    ) -> Result<Self, SceneError> {
-        let place = format!("image {}", key.image);
-        let malformed =
-            |message: String| SceneError::malformed(path, format!("{place}: {message}"));
-        let image = accessors.root.images.get(key.image);
-        let image = image.ok_or_else(|| malformed("there is no such image".into()))?;
-        let bytes = match (&image.buffer_view, &image.uri) {
-            (Some(view), _) => Buffer::Chunk(accessors.view(view.value()).map_err(malformed)?),
-            (None, Some(uri)) => Buffer::Read(resolve_uri(path, &place, uri, resources)?),
-            (None, None) => return Err(malformed("has neither a buffer view nor a uri".into())),
-        };
-        let size = TextureSize::of(path, &place, &bytes)?;
-        Ok(Self { key, bytes, size })
-    }
-
-    fn decode(&self, path: &Path) -> Result<Texture, SceneError> {
-        let place = format!("image {}", self.key.image);
-        decode_texture(path, &place, &self.bytes, self.key.keeps_alpha, self.key.srgb)
+impl Image<'_> {
+    fn decode(&self) -> Result<Texture, String> {
+        let decoded = decode_image(self.name, &self.bytes)?;
+        let (width, height) = decoded.dimensions();
+        let mut texels = texels_of(decoded);
+        if !self.key.keeps_alpha {
+            texels.iter_mut().for_each(|texel| texel[3] = 255);
+        }
+        let texture =
+            Texture::new(width, height, texels, self.key.srgb).ok_or("it has no pixels")?;
+        Ok(texture.with_wrap(self.key.wrap))
     }
 }
 
-/// Decodes the images, at once as far as memory allows. All their sizes are known, and counted, before the first is decoded.
-fn decode_images(
-    path: &Path,
-    accessors: Accessors,
-    keys: &[TextureKey],
-    resources: &Resources,
-) -> Result<Vec<Texture>, SceneError> {
-    let images: Vec<Image> = keys
-        .iter()
-        .map(|key| Image::find(path, accessors, *key, resources))
-        .collect::<Result<_, _>>()?;
-    resources.take(path, images.iter().map(|image| image.size.held_bytes()).sum())?;
-    let largest = images.iter().map(|image| image.size.decoding_bytes()).max().unwrap_or(0);
-    resources.check(path, largest)?;
-    let at_once = largest.saturating_mul(rayon::current_num_threads() as u64);
-    match resources.check(path, at_once) {
-        Ok(()) => images.par_iter().map(|image| image.decode(path)).collect(),
-        Err(_) => images.iter().map(|image| image.decode(path)).collect(),
+/// What may be missing. `None` where a warning tells of its image already; the error is one.
+type Found<T> = Option<Result<T, String>>;
+
+/// Where images come from.
+#[derive(Clone, Copy)]
+struct Source<'a> {
+    path: &'a Path,
+    accessors: Accessors<'a>,
+    extras: &'a Extras,
+    resources: &'a Resources<'a>,
+}
+
+fn left_out(key: TextureKey, why: &str) -> String {
+    format!("image {} is left out: {why}", key.image)
+}
+
+impl<'a> Source<'a> {
+    /// Finds an image and reads its header; lack of memory alone fails the scene.
+    fn find(&self, key: TextureKey) -> Result<Found<Image<'a>>, SceneError> {
+        if key.image >= self.extras.image_count {
+            return Ok(None);
+        }
+        match self.open(key) {
+            Err(error) if is_lack_of_memory(&error) => Err(error),
+            Err(error) => Ok(Some(Err(left_out(key, &error.to_string())))),
+            Ok(opened) => {
+                let image = opened.and_then(|(name, bytes)| {
+                    let size = TextureSize::of(name, &bytes)?;
+                    Ok(Image { key, name, bytes, size })
+                });
+                Ok(Some(image.map_err(|why| left_out(key, &why))))
+            }
+        }
+    }
+
+    /// Name and bytes of an image.
+    fn open(&self, key: TextureKey) -> Result<Result<(&'a str, Buffer<'a>), String>, SceneError> {
+        let Some(image) = self.accessors.root.images.get(key.image) else {
+            return Ok(Err("there is no such image".into()));
+        };
+        Ok(match (&image.buffer_view, &image.uri) {
+            (Some(view), _) => {
+                self.accessors.view(view.value()).map(|bytes| ("", Buffer::Chunk(bytes)))
+            }
+            (None, Some(uri)) => {
+                let place = format!("image {}", key.image);
+                let bytes = resolve_uri(self.path, &place, uri, self.resources)?;
+                let name = if uri.starts_with("data:") { "" } else { uri.as_str() };
+                Ok((name, Buffer::Read(bytes)))
+            }
+            (None, None) => Err("it has neither a buffer view nor a uri".into()),
+        })
+    }
+
+    /// Decodes images, at once as far as memory allows. All their sizes are known, and counted, before the first is decoded.
+    fn decode_all(&self, keys: &[TextureKey]) -> Result<Vec<Found<Texture>>, SceneError> {
+        let images: Vec<Found<Image>> =
+            keys.iter().map(|key| self.find(*key)).collect::<Result<_, _>>()?;
+        let sizes = || images.iter().flatten().flatten().map(|image| image.size);
+        let (path, resources) = (self.path, self.resources);
+        let held = sizes().map(TextureSize::held_bytes).fold(0, u64::saturating_add);
+        resources.take(path, held)?;
+        let largest = sizes().map(TextureSize::decoding_bytes).max().unwrap_or(0);
+        resources.check(path, largest)?;
+        let decode = |found: Found<Image>| {
+            let decode = |image: Image| image.decode().map_err(|why| left_out(image.key, &why));
+            found.map(|image| image.and_then(decode))
+        };
+        let at_once = largest.saturating_mul(rayon::current_num_threads() as u64);
+        Ok(match resources.check(path, at_once) {
+            Ok(()) => images.into_par_iter().map(decode).collect(),
+            Err(_) => images.into_iter().map(decode).collect(),
+        })
+    }
+
+    /// Decodes an image for its means only.
+    fn find_means(&self, key: TextureKey) -> Result<Found<[f32; 2]>, SceneError> {
+        let image = match self.find(key)? {
+            Some(Ok(image)) => image,
+            Some(Err(why)) => return Ok(Some(Err(why))),
+            None => return Ok(None),
+        };
+        let needed = image.size.decoding_bytes().saturating_add(image.size.held_bytes());
+        self.resources.check(self.path, needed)?;
+        let means = image.decode().map(|texture| metallic_roughness_means(&texture));
+        Ok(Some(means.map_err(|why| left_out(key, &why))))
     }
 }

@@ -14,13 +14,14 @@ pub(super) struct ReadPrimitive {
     pub warnings: Vec<String>,
 }
 
-/// Reads a primitive whose textures, if any, use `uv_source`. The error names what is wrong, not
-/// the primitive.
+/// Reads a primitive whose textures, if any, use `uv_source`, and whose morph targets weigh `weights`. The error names what is wrong,
+/// not the primitive.
 pub(super) fn read_primitive(
     primitive: &gltf::Primitive,
     accessors: Accessors,
     material: u32,
     uv_source: Option<UvSource>,
+    weights: &[f32],
 ) -> Result<ReadPrimitive, String> {
     let mut warnings = Vec::new();
     let mode = primitive.mode();
@@ -29,8 +30,11 @@ pub(super) fn read_primitive(
         return Ok(ReadPrimitive { mesh: None, warnings });
     }
     let find = |semantic: Semantic| primitive.get(&semantic).map(|a| a.index());
-    let positions = find(Semantic::Positions).ok_or("has no POSITION attribute")?;
-    let positions = read_positions(accessors, positions)?;
+    let Some(positions) = find(Semantic::Positions) else {
+        warnings.push("has no positions and is left out".into());
+        return Ok(ReadPrimitive { mesh: None, warnings });
+    };
+    let mut positions = read_positions(accessors, positions)?;
     let count = positions.len();
     let indices = match primitive.indices() {
         Some(indices) => {
@@ -41,9 +45,10 @@ pub(super) fn read_primitive(
     if let Some(bad) = indices.iter().find(|&&i| i as usize >= count) {
         return Err(format!("vertex index {bad} is not below the vertex count {count}"));
     }
-    let normals = find(Semantic::Normals)
-        .map(|i| read_normals(accessors, i, count, &mut warnings))
-        .transpose()?;
+    let normals = find(Semantic::Normals).map(|i| read_normals(accessors, i, count)).transpose()?;
+    let mut normals = normals.unwrap_or_default();
+    morph(primitive, accessors, weights, &mut positions, &mut normals)?;
+    normalize(&mut normals, &mut warnings);
     let uvs = uv_source
         .and_then(|source| Some((source, find(Semantic::TexCoords(source.set))?)))
         .map(|(source, i)| read_uvs(accessors, i, count, &source, &mut warnings))
@@ -52,11 +57,13 @@ pub(super) fn read_primitive(
         warnings.push("has a texture but no texture coordinates; the texture is ignored".into());
     }
     let colors = find(Semantic::Colors(0)).map(|i| read_colors(accessors, i, count)).transpose()?;
+    let (colors, alphas) = colors.unwrap_or_default();
     let mesh = Mesh {
         positions,
-        normals: normals.unwrap_or_default(),
+        normals,
         uvs: uvs.unwrap_or_default(),
-        colors: colors.unwrap_or_default(),
+        colors,
+        alphas,
         triangles: list_triangles(&indices, mode),
         material,
     };
@@ -80,30 +87,70 @@ fn list_triangles(indices: &[u32], mode: Mode) -> Vec<[u32; 3]> {
     }
 }
 
+/// Positions, which need not be finite where nothing uses them.
 fn read_positions(accessors: Accessors, index: usize) -> Result<Vec<Vec3>, String> {
     let read = accessors.read_vectors::<3>(index, &[Type::Vec3], 0.0);
     let positions = read.map_err(|e| format!("POSITION: {e}"))?;
-    if let Some(bad) = positions.iter().position(|p| !p.iter().all(|c| c.is_finite())) {
-        return Err(format!("position of vertex {bad} is not finite"));
-    }
     Ok(positions.into_iter().map(Vec3::from_array).collect())
 }
 
-fn read_normals(
-    accessors: Accessors,
-    index: usize,
-    count: usize,
-    warnings: &mut Vec<String>,
-) -> Result<Vec<Vec3>, String> {
+/// Checks that all positions that triangles use are finite.
+pub(super) fn check_positions(mesh: &Mesh) -> Result<(), String> {
+    let mut used = mesh.triangles.iter().flatten();
+    match used.find(|&&v| !mesh.positions[v as usize].is_finite()) {
+        Some(bad) => Err(format!("position of vertex {bad} is not finite")),
+        None => Ok(()),
+    }
+}
+
+fn read_normals(accessors: Accessors, index: usize, count: usize) -> Result<Vec<Vec3>, String> {
     let read = accessors.read_vectors::<3>(index, &[Type::Vec3], 0.0);
     let normals = read.map_err(|e| format!("NORMAL: {e}"))?;
     check_count("NORMAL", normals.len(), count)?;
-    let unit: Option<Vec<Vec3>> =
-        normals.into_iter().map(|n| Vec3::from_array(n).try_normalize()).collect();
-    if unit.is_none() {
-        warnings.push("has normals without direction; all its normals are ignored".into());
+    Ok(normals.into_iter().map(Vec3::from_array).collect())
+}
+
+/// Gives normals unit length; those without direction become 0, where the geometric normal serves.
+fn normalize(normals: &mut [Vec3], warnings: &mut Vec<String>) {
+    let mut zero_count = 0;
+    for normal in normals {
+        *normal = normal.try_normalize().unwrap_or(Vec3::ZERO);
+        zero_count += usize::from(*normal == Vec3::ZERO);
     }
-    Ok(unit.unwrap_or_default())
+    if zero_count > 0 {
+        warnings.push(format!(
+            "has {zero_count} normals without direction; those of their faces are used there"
+        ));
+    }
+}
+
+/// Adds the weighted morph targets (§ 3.7.2.2 of the specification).
+fn morph(
+    primitive: &gltf::Primitive,
+    accessors: Accessors,
+    weights: &[f32],
+    positions: &mut [Vec3],
+    normals: &mut [Vec3],
+) -> Result<(), String> {
+    for (k, (target, &weight)) in primitive.morph_targets().zip(weights).enumerate() {
+        if weight == 0.0 {
+            continue;
+        }
+        let add = |name: &str, index: Option<usize>, values: &mut [Vec3]| {
+            let Some(index) = index.filter(|_| !values.is_empty()) else { return Ok(()) };
+            let place = format!("{name} of morph target {k}");
+            let read = accessors.read_vectors::<3>(index, &[Type::Vec3], 0.0);
+            let offsets = read.map_err(|e| format!("{place}: {e}"))?;
+            check_count(&place, offsets.len(), values.len())?;
+            for (value, offset) in values.iter_mut().zip(offsets) {
+                *value += Vec3::from_array(offset) * weight;
+            }
+            Ok::<_, String>(())
+        };
+        add("POSITION", target.positions().map(|a| a.index()), positions)?;
+        add("NORMAL", target.normals().map(|a| a.index()), normals)?;
+    }
+    Ok(())
 }
 
 fn read_uvs(
@@ -131,12 +178,17 @@ fn read_uvs(
     Ok(uvs)
 }
 
-fn read_colors(accessors: Accessors, index: usize, count: usize) -> Result<Vec<[f32; 3]>, String> {
-    let read = accessors.read_vectors::<3>(index, &[Type::Vec3, Type::Vec4], 1.0);
+/// Linear colors, and alphas where one is below 1.
+type Colors = (Vec<[f32; 3]>, Vec<f32>);
+
+fn read_colors(accessors: Accessors, index: usize, count: usize) -> Result<Colors, String> {
+    let read = accessors.read_vectors::<4>(index, &[Type::Vec3, Type::Vec4], 1.0);
     let colors = read.map_err(|e| format!("COLOR_0: {e}"))?;
     check_count("COLOR_0", colors.len(), count)?;
     let clamp = |c: f32| if c.is_finite() { c.clamp(0.0, 1.0) } else { 1.0 };
-    Ok(colors.into_iter().map(|rgb| rgb.map(clamp)).collect())
+    let is_opaque = colors.iter().all(|rgba| clamp(rgba[3]) == 1.0);
+    let alphas = colors.iter().filter(|_| !is_opaque).map(|rgba| clamp(rgba[3])).collect();
+    Ok((colors.into_iter().map(|[r, g, b, _]| [r, g, b].map(clamp)).collect(), alphas))
 }
 
 fn check_count(place: &str, found: usize, expected: usize) -> Result<(), String> {

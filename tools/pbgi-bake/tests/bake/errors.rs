@@ -124,3 +124,22 @@ fn an_interrupt_ends_with_code_130_and_leaves_nothing() {
     assert_eq!(child.wait().unwrap().code(), Some(130));
     assert!(bench.files().is_empty(), "{:?}", bench.files());
 }
+
+#[test]
+fn scenes_that_are_all_holes_end_at_once_and_name_their_materials() {
+    let bench = Bench::new();
+    let square = "v 0 0 0\nv 2 0 0\nv 2 2 0\nv 0 2 0\n";
+    bench.write("m.mtl", "newmtl pane\nd 0\nnewmtl wall\nKd 1 1 1\n");
+    bench.write("g.obj", format!("mtllib m.mtl\n{square}usemtl pane\nf 1 2 3 4\n"));
+    for how in [["--surfels", "2000"], ["--spacing", "0.1"]] {
+        let args = ["g.obj", how[0], how[1]];
+        refuse(&bench, &args, 3, &["no surfels", "all surfaces are holes", "pane"]);
+    }
+    // Among others it is a warning, and takes no surfels from them.
+    bench.write("w.obj", format!("mtllib m.mtl\n{square}usemtl wall\nf 1 2 3 4\n"));
+    let run = bench.run(&["g.obj", "w.obj", "--surfels", "2000", "-o", "x.pbgi", "--strict"]);
+    assert!(run.code == 3 && run.stderr.contains("--strict"), "{}", run.stderr);
+    assert!(run.stderr.contains("g.obj: all surfaces are holes"), "{}", run.stderr);
+    let surfels = bench.check("x.pbgi").surfels;
+    assert!((1900..2100).contains(&surfels), "{surfels}");
+}

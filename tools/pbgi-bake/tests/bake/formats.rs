@@ -131,3 +131,39 @@ fn files_of_the_shared_data_bake() {
         assert!(info.origin[0] > 1e5 && info.surfels > 2_000_000);
     }
 }
+
+#[test]
+fn strips_and_zero_normals_are_what_they_mean() {
+    let bench = Bench::new();
+    let strips = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
+        element tristrips 1\nproperty list int int vertex_indices\nend_header\n\
+        0 0 0\n2 0 0\n0 2 0\n2 2 0\n4 0 1 2 3\n";
+    bench.write("s.ply", strips);
+    let info = bench.bake(&["s.ply", "--surfels", "1k"], "s.pbgi");
+    assert!((info.area_total - 4.0).abs() < 1e-3, "{}", info.area_total);
+    // Normals of 0 are not known: estimated, but where surfels have sizes.
+    let rows = |zeros: usize, more: &[f32]| -> Vec<f32> {
+        let place = |i: usize| [(i % 60) as f32, (i / 60) as f32, 0.0];
+        let row =
+            |i| [&place(i)[..], &[0.0, 0.0, if i < zeros { 0.0 } else { 1.0 }], more].concat();
+        (0..3600).flat_map(row).collect()
+    };
+    let names = ["x", "y", "z", "nx", "ny", "nz", "radius"];
+    for zeros in [3600, 100] {
+        bench.write("z.ply", ply(&names[..6], rows(zeros, &[]), Ply::Little));
+        assert!(!bench.bake(&["z.ply", "--force"], "z.pbgi").isotropic);
+    }
+    bench.write("r.ply", ply(&names, rows(3600, &[0.7]), Ply::Little));
+    assert!(bench.bake(&["r.ply"], "r.pbgi").isotropic);
+}
+
+#[test]
+fn points_that_coincide_are_told() {
+    let bench = Bench::new();
+    let points: Vec<f32> =
+        (0..400).flat_map(|i| [(i % 20) as f32, (i / 20) as f32, 0.0].repeat(14)).collect();
+    bench.write("c.ply", ply(&["x", "y", "z"], points, Ply::Little));
+    bench.bake(&["c.ply", "--stats-json", "s.json"], "c.pbgi");
+    let stats: serde_json::Value = serde_json::from_slice(&bench.read("s.json")).unwrap();
+    assert!(stats["warnings"][0].as_str().unwrap().contains("coincide"), "{stats}");
+}

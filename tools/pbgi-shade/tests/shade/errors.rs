@@ -110,7 +110,8 @@ fn settings_out_of_range_are_misuse() {
     let ply = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n\
         property float z\nend_header\n0 0 0\n";
     std::fs::write(&bare, ply).unwrap();
-    let message = fail(3, &[text(&octree), "--receivers", text(&bare), "-o", text(&target), "-q"]);
+    let table = folder.path().join("out.ply");
+    let message = fail(3, &[text(&octree), "--receivers", text(&bare), "-o", text(&table), "-q"]);
     assert!(message.contains("normals"), "{message}");
 }
 

@@ -326,3 +326,69 @@ fn limits_and_threads_never_change_a_scan() {
     });
     assert!(results[0] == results[1] && results[0] == results[2]);
 }
+
+#[test]
+fn columns_keep_their_types_and_meshes_their_faces() {
+    let folder = tempfile::tempdir().unwrap();
+    let [input, output, array] =
+        ["in.ply", "out.ply", "out.npy"].map(|name| folder.path().join(name));
+    let text_of = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
+        property float nx\nproperty float ny\nproperty float nz\nproperty int id\nproperty uchar red\n\
+        element face 1\nproperty list uchar int vertex_indices\nend_header\n\
+        0 50 0 0 1 0 16777217 10\n1 50 0 0 1 0 123456789 200\n0 50 1 0 1 0 -7 255\n3 0 1 2\n";
+    std::fs::write(&input, text_of).unwrap();
+    let octree = octree();
+    let arguments = |output: &Path| {
+        let all = [
+            text(&octree),
+            "--receivers",
+            text(&input),
+            "--env-color",
+            "1,1,1",
+            "-q",
+            "-o",
+            text(output),
+        ];
+        all.map(str::to_owned)
+    };
+    let run = |output: &Path, more: &[&str]| {
+        let arguments = arguments(output);
+        let all: Vec<&str> =
+            arguments.iter().map(String::as_str).chain(more.iter().copied()).collect();
+        crate::support::run(&all)
+    };
+    assert!(run(&output, &["--strict"]).status.success());
+    let table = ReceiverTable::read(&output).unwrap();
+    let of = |name: &str| table.columns.iter().find(|column| column.name == name).unwrap();
+    let ids: Vec<f64> = (0..3).map(|row| of("id").value(row)).collect();
+    assert_eq!(ids, [16_777_217.0, 123_456_789.0, -7.0]);
+    assert_eq!(
+        (of("id").kind, of("red").kind),
+        (pbgi_cloud::PlyType::I32, pbgi_cloud::PlyType::U8)
+    );
+    let bytes = std::fs::read(&output).unwrap();
+    assert!(bytes.ends_with(&[3, 0, 0, 0, 0, 1, 0, 0, 0, 2, 0, 0, 0]));
+    // An array has no place for faces: a warning, which --strict makes the end of the run.
+    let output = run(&array, &["--strict"]);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(3), "{said}");
+    assert!(
+        said.contains("1 rows of `face`") && said.contains("--strict") && array.exists(),
+        "{said}"
+    );
+}
+
+#[test]
+fn names_that_tell_of_another_format_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let octree = octree();
+    for (name, kind, expected) in [
+        ("a.xyz", "--surfels", ".ply, .npy, .csv, .las, .laz"),
+        ("a", "--surfels", ".ply, .npy"),
+        ("a.png", "--scene=demo:spheres", "written as .exr (--preview"),
+    ] {
+        let output = folder.path().join(name);
+        let message = fail(2, &[text(&octree), kind, "--env-color", "1,1,1", "-o", text(&output)]);
+        assert!(message.contains(expected) && !output.exists(), "{message}");
+    }
+}

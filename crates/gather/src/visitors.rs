@@ -1,0 +1,91 @@
+//! The cut, drawn into rasters.
+
+use crate::primitive::{Outline, SurfelPen, draw_surfel, piece_ink, piece_shape, surfel_ink};
+use pbgi_cut::{Cluster, CutVisitor, SurfelSeen};
+use pbgi_math::Vec3;
+use pbgi_raster::{
+    CubeRaster, Footprint, Ink, Lanes, SHAPES_MAX, Section, Shape, Veil, Window, WindowRaster,
+};
+use std::marker::PhantomData;
+
+/// Draws the cut into the cube.
+pub(crate) struct CubeVisitor<'a, L> {
+    pub raster: &'a mut CubeRaster,
+    /// Of the box that was asked about last.
+    pub footprint: Footprint,
+    /// Of the receiver's surface; 0 for a place that stands for many.
+    pub plane: Vec3,
+    pub lanes: PhantomData<L>,
+}
+
+impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
+    #[inline(always)]
+    fn is_open(&mut self, low: Vec3, high: Vec3) -> bool {
+        self.footprint = self.raster.footprint(low, high);
+        self.raster.is_open(&self.footprint)
+    }
+
+    #[inline(always)]
+    fn take_cluster(&mut self, cluster: &Cluster) {
+        let mut shapes = [(Section::default(), Ink::default()); SHAPES_MAX];
+        let pieces = cluster.pieces();
+        for (shape, piece) in shapes.iter_mut().zip(pieces) {
+            let (section, veil) = piece_shape(cluster, piece);
+            *shape = (section, piece_ink(cluster, piece, veil));
+        }
+        let toward = cluster.low + cluster.high;
+        self.raster.draw::<L, _>(&shapes[..pieces.len()], &self.footprint, toward);
+    }
+
+    #[inline(always)]
+    fn take_surfel(&mut self, seen: &SurfelSeen) {
+        draw_surfel(seen, self.plane, self);
+    }
+}
+
+impl<L: Lanes> SurfelPen for CubeVisitor<'_, L> {
+    #[inline(always)]
+    fn draw<S: Shape>(&mut self, seen: &SurfelSeen, shape: &S, outline: &Outline) {
+        let footprint = self.raster.footprint(outline.bounds.min, outline.bounds.max);
+        let ink = surfel_ink(seen, outline);
+        self.raster.draw::<L, S>(&[(*shape, ink)], &footprint, seen.surfel.center);
+    }
+}
+
+/// Draws what blocks a window.
+pub(crate) struct WindowVisitor<'a, L> {
+    pub raster: &'a mut WindowRaster,
+    pub window: &'a Window,
+    pub plane: Vec3,
+    pub lanes: PhantomData<L>,
+}
+
+impl<L: Lanes> CutVisitor for WindowVisitor<'_, L> {
+    #[inline(always)]
+    fn is_open(&mut self, low: Vec3, high: Vec3) -> bool {
+        !self.raster.is_closed() && self.window.is_met_by(low, high)
+    }
+
+    #[inline(always)]
+    fn take_cluster(&mut self, cluster: &Cluster) {
+        for piece in cluster.pieces() {
+            let (section, veil) = piece_shape(cluster, piece);
+            self.raster.draw::<L, _>(self.window, &section, &veil);
+        }
+    }
+
+    #[inline(always)]
+    fn take_surfel(&mut self, seen: &SurfelSeen) {
+        draw_surfel(seen, self.plane, self);
+    }
+}
+
+impl<L: Lanes> SurfelPen for WindowVisitor<'_, L> {
+    #[inline(always)]
+    fn draw<S: Shape>(&mut self, seen: &SurfelSeen, shape: &S, outline: &Outline) {
+        if self.window.is_met_by(outline.bounds.min, outline.bounds.max) {
+            let veil = Veil { start: 0.0, end: outline.opacity, seed: seen.seed };
+            self.raster.draw::<L, S>(self.window, shape, &veil);
+        }
+    }
+}

@@ -1,0 +1,259 @@
+//! Cases from outside: folders with files, and an `expected.md` whose commands are run in a copy of the folder.
+
+mod expected;
+
+use crate::workspace::Workspace;
+use expected::{Check, checks_of};
+use std::fs;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// Where cases are, beside the workspace.
+const CASES: &str = "../shared/cases";
+/// A command that takes longer hangs.
+const SECONDS_MAX: u64 = 120;
+/// Kept of what a command says.
+const TEXT_MAX: u64 = 1 << 20;
+
+/// Runs the cases that are there and whose names contain one of `filters`, all without any, by the tools of the debug build, and
+/// prints which fall short.
+pub fn run(workspace: &Workspace, filters: &[&str]) -> Result<(), String> {
+    let root = workspace.root().join(CASES);
+    let entries = fs::read_dir(&root)
+        .map_err(|e| format!("{CASES}: {e}; cases are kept beside the workspace"))?;
+    let mut folders: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
+    folders.retain(|folder| folder.join("expected.md").is_file());
+    folders.retain(|folder| {
+        let name = name_of(folder);
+        filters.is_empty() || filters.iter().any(|filter| name.contains(filter))
+    });
+    folders.sort();
+    let tools = build_tools(workspace)?;
+    let (mut short, mut unjudged) = (Vec::new(), 0);
+    for folder in &folders {
+        let name = name_of(folder);
+        let found = run_case(workspace, folder, &tools)?;
+        match (found, checks_of(&name).is_empty()) {
+            (Some(why), _) => {
+                println!("{name}: {why}");
+                short.push(name);
+            }
+            (None, true) => {
+                println!("{name}: ran; what it expects is not known here");
+                unjudged += 1;
+            }
+            (None, false) => println!("{name}: holds"),
+        }
+    }
+    println!(
+        "{} cases: {} hold, {} fall short, {unjudged} only ran",
+        folders.len(),
+        folders.len() - short.len() - unjudged,
+        short.len()
+    );
+    if short.is_empty() { Ok(()) } else { Err(format!("fall short: {}", short.join(", "))) }
+}
+
+fn name_of(folder: &Path) -> String {
+    folder.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// Builds the tools; returns their folder.
+fn build_tools(workspace: &Workspace) -> Result<PathBuf, String> {
+    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    let mut command = Command::new(cargo);
+    command.args([
+        "build",
+        "-p",
+        "pbgi-bake",
+        "-p",
+        "pbgi-shade",
+        "-p",
+        "pbgi-info",
+        "-p",
+        "pbgi-demo",
+    ]);
+    let status = command.current_dir(workspace.root()).status().map_err(|e| e.to_string())?;
+    if !status.success() {
+        return Err("the tools do not build".into());
+    }
+    let target = std::env::var_os("CARGO_TARGET_DIR")
+        .map_or_else(|| workspace.root().join("target"), PathBuf::from);
+    Ok(target.join("debug"))
+}
+
+/// What is wrong with a case, if something is.
+fn run_case(workspace: &Workspace, folder: &Path, tools: &Path) -> Result<Option<String>, String> {
+    let text = fs::read_to_string(folder.join("expected.md")).map_err(|e| e.to_string())?;
+    let Some(script) = script_of(&text) else { return Ok(Some("has no commands".into())) };
+    let copy = workspace.root().join("target").join("cases").join(name_of(folder));
+    let _ = fs::remove_dir_all(&copy);
+    copy_folder(folder, &copy).map_err(|e| format!("{}: {e}", copy.display()))?;
+    let path = std::env::var("PATH").unwrap_or_default();
+    let child = Command::new("bash")
+        .args(["-c", &script])
+        .current_dir(&copy)
+        .env("PATH", format!("{}:{path}", tools.display()))
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .map_err(|e| format!("bash: {e}"))?;
+    let Some((said, code)) = wait(child) else {
+        return Ok(Some(format!("does not end within {SECONDS_MAX} s")));
+    };
+    let said = said.split_whitespace().collect::<Vec<_>>().join(" ");
+    if said.contains("panicked at") || code.is_none_or(|code| code == 101) {
+        return Ok(Some(format!("panics or is killed: {}", end_of(&said))));
+    }
+    let failed = checks_of(&name_of(folder)).iter().find_map(|check| judge(check, &said, &copy));
+    Ok(failed.map(|why| format!("{why}; it said: {}", end_of(&said))))
+}
+
+/// The first block of shell commands.
+fn script_of(text: &str) -> Option<String> {
+    let (_, rest) = text.split_once("```sh\n")?;
+    let (script, _) = rest.split_once("```")?;
+    Some(script.to_owned())
+}
+
+fn copy_folder(from: &Path, to: &Path) -> std::io::Result<()> {
+    fs::create_dir_all(to)?;
+    for entry in fs::read_dir(from)?.flatten() {
+        let (path, target) = (entry.path(), to.join(entry.file_name()));
+        if path.is_dir() {
+            copy_folder(&path, &target)?;
+        } else {
+            fs::copy(&path, &target)?;
+        }
+    }
+    Ok(())
+}
+
+/// All that a command says, and its exit code; `None` if it takes too long.
+fn wait(mut child: Child) -> Option<(String, Option<i32>)> {
+    let (out, err) = (child.stdout.take(), child.stderr.take());
+    let collect = |pipe: Option<Box<dyn Read + Send>>| {
+        thread::spawn(move || {
+            let mut bytes = Vec::new();
+            if let Some(mut pipe) = pipe {
+                let _ = Read::by_ref(&mut pipe).take(TEXT_MAX).read_to_end(&mut bytes);
+                let _ = std::io::copy(&mut pipe, &mut std::io::sink());
+            }
+            String::from_utf8_lossy(&bytes).into_owned()
+        })
+    };
+    let out = collect(out.map(|pipe| Box::new(pipe) as Box<dyn Read + Send>));
+    let err = collect(err.map(|pipe| Box::new(pipe) as Box<dyn Read + Send>));
+    let start = Instant::now();
+    loop {
+        match child.try_wait() {
+            Ok(Some(status)) => {
+                let said = [out.join(), err.join()].map(Result::unwrap_or_default).join("\n");
+                return Some((said, status.code()));
+            }
+            Ok(None) if start.elapsed() < Duration::from_secs(SECONDS_MAX) => {
+                thread::sleep(Duration::from_millis(20));
+            }
+            _ => {
+                let _ = child.kill();
+                let _ = child.wait();
+                return None;
+            }
+        }
+    }
+}
+
+/// What of a check does not hold.
+fn judge(check: &Check, said: &str, folder: &Path) -> Option<String> {
+    match *check {
+        Check::Says(text) => {
+            (!said.contains(text)).then(|| format!("expected that it says `{text}`"))
+        }
+        Check::Never(text) => said.contains(text).then(|| format!("it says `{text}`")),
+        Check::Areas(expected) => {
+            let found = numbers_behind(said, "area ");
+            let holds = found.len() >= expected.len()
+                && expected.iter().zip(&found).all(|(e, f)| (f - e).abs() <= 0.02 * e);
+            (!holds).then(|| format!("areas {found:?}, expected {expected:?}"))
+        }
+        Check::Column { file, column, expected, tolerance } => {
+            let found = column_mean(&folder.join(file), column);
+            let holds = found.is_some_and(|found| (found - expected).abs() <= tolerance);
+            (!holds)
+                .then(|| format!("mean of {column} in {file} is {found:?}, expected {expected}"))
+        }
+        Check::Values { file, column, expected } => {
+            let found = column_values(&folder.join(file), column).unwrap_or_default();
+            let near = |(f, e): (&f64, &f64)| (f - e).abs() <= 0.02 * e.abs().max(0.1);
+            let holds = found.len() == expected.len() && found.iter().zip(expected).all(near);
+            (!holds).then(|| format!("{column} of {file} is {found:?}, expected {expected:?}"))
+        }
+    }
+}
+
+/// Numbers behind a word.
+fn numbers_behind(said: &str, word: &str) -> Vec<f64> {
+    let behind = said.split(word).skip(1);
+    behind.filter_map(|rest| rest.split(' ').next()?.replace(',', "").parse().ok()).collect()
+}
+
+/// Values of a column of a `.csv` file, or of a binary `.ply` file of floats, doubles and bytes.
+fn column_values(path: &Path, column: &str) -> Option<Vec<f64>> {
+    let bytes = fs::read(path).ok()?;
+    if path.extension()? == "csv" {
+        let text = String::from_utf8(bytes).ok()?;
+        let mut lines = text.lines();
+        let index = lines.next()?.split(',').position(|name| name == column)?;
+        return lines.map(|line| line.split(',').nth(index)?.parse().ok()).collect();
+    }
+    let end = b"end_header\n";
+    let start = bytes.windows(end.len()).position(|window| window == end)? + end.len();
+    let header = String::from_utf8_lossy(&bytes[..start]).into_owned();
+    let (mut stride, mut place, mut rows) = (0, None, 0);
+    for line in header.lines() {
+        let words: Vec<&str> = line.split(' ').collect();
+        match words[..] {
+            ["element", "vertex", count] => rows = count.parse().ok()?,
+            ["element", _, _] => break,
+            ["property", kind, name] => {
+                let size = match kind {
+                    "double" => 8,
+                    "float" | "int" | "uint" => 4,
+                    "short" | "ushort" => 2,
+                    _ => 1,
+                };
+                if name == column {
+                    place = Some((stride, kind.to_owned()));
+                }
+                stride += size;
+            }
+            _ => {}
+        }
+    }
+    let (offset, kind) = place?;
+    let value = |row: usize| {
+        let rest = bytes.get(start + row * stride + offset..)?;
+        Some(match kind.as_str() {
+            "double" => f64::from_le_bytes(*rest.first_chunk()?),
+            "float" => f64::from(f32::from_le_bytes(*rest.first_chunk()?)),
+            "int" => f64::from(i32::from_le_bytes(*rest.first_chunk()?)),
+            _ => f64::from(*rest.first()?),
+        })
+    };
+    (0..rows).map(value).collect()
+}
+
+fn column_mean(path: &Path, column: &str) -> Option<f64> {
+    let values = column_values(path, column)?;
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+/// The last words.
+fn end_of(said: &str) -> String {
+    let start = said.char_indices().rev().nth(300).map_or(0, |(index, _)| index);
+    said[start..].to_owned()
+}
