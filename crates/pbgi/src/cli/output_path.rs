@@ -23,6 +23,10 @@ pub(crate) fn are_on_one_disk(a: &Path, b: &Path) -> bool {
 ///
 /// [`PbgiError::Usage`], naming the suffixes that are right.
 pub fn check_suffix(path: &Path, suffixes: &[&str], what: &str) -> Result<(), PbgiError> {
+    // Devices have the names they have.
+    if std::fs::metadata(path).is_ok_and(|found| !found.is_file()) {
+        return Ok(());
+    }
     let suffix = path.extension().unwrap_or_default();
     if suffixes.iter().any(|s| suffix.eq_ignore_ascii_case(s)) {
         return Ok(());
