@@ -7,6 +7,7 @@ mod format_document;
 mod leaks;
 mod lights;
 mod octree_file;
+mod own_surface;
 mod reflections;
 mod schedule;
 mod support;

@@ -54,6 +54,9 @@ fn shade_in_chunks(
     all
 }
 
+/// What the default cut shares with.
+const PARALLAX: f32 = 0.2;
+
 #[test]
 fn what_is_shared_depends_neither_on_budget_nor_on_threads() {
     let surfels = random_objects(20_000, 0.02, 3);
@@ -70,9 +73,9 @@ fn what_is_shared_depends_neither_on_budget_nor_on_threads() {
         let options = ShadeOptions { gather, threads, ..ShadeOptions::default() };
         shade_receivers(&octree, None, &receivers, &options).unwrap()
     };
-    let (shared, report) = shade(500 << 10, 1, GatherSettings::SHARED_PARALLAX);
+    let (shared, report) = shade(500 << 10, 1, PARALLAX);
     for (cache_bytes, threads) in [(500 << 10, 3), (64 << 20, 1), (64 << 20, 4)] {
-        assert!(shade(cache_bytes, threads, GatherSettings::SHARED_PARALLAX).0 == shared);
+        assert!(shade(cache_bytes, threads, PARALLAX).0 == shared);
     }
     let (alone, report_alone) = shade(64 << 20, 1, 0.0);
     let (found, expected) = (report.cut.cut_size(), report_alone.cut.cut_size());

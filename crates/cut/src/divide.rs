@@ -2,11 +2,12 @@
 
 use crate::metric::{NodeSeen, Threshold};
 use crate::node::{
-    Group, Limits, NodeRef, Viewpoint, bad_link, distance, pin_sound_page, view_group,
+    Group, Limits, NodeRef, Viewpoint, child_index, distance, follow_link, pin_sound_page,
+    view_group,
 };
 use crate::stats::CutStats;
 use crate::walk::{CutReceiver, WalkFrom, root_place};
-use pbgi_format::{CHILDREN_MAX, ChildLink};
+use pbgi_format::CHILDREN_MAX;
 use pbgi_math::{Aabb, Vec3};
 use pbgi_store::{Reader, StoreError};
 
@@ -53,6 +54,7 @@ impl Division {
     /// # Errors
     ///
     /// If a page cannot be read or contradicts itself.
+    #[expect(clippy::too_many_arguments, reason = "the state of one walk")]
     pub fn divide<S: Separation>(
         &mut self,
         reader: &mut Reader<'_>,
@@ -67,8 +69,7 @@ impl Division {
         self.near.clear();
         self.stack.clear();
         let view = &middle.view;
-        let octree = reader.octree();
-        let (layout, depth) = (octree.layout(), octree.header().depth as usize);
+        let layout = reader.octree().layout();
         match from {
             WalkFrom::Root => {
                 let place = root_place(reader, stats)?;
@@ -107,23 +108,9 @@ impl Division {
             let Some(page) = pin_sound_page(reader, node.page, level - 1, stats)? else { continue };
             let (view_page, group) =
                 view_group(reader, &page, node.page, node.offset, layout.channels)?;
-            let index = (group.fields().octants & ((1u8 << node.octant) - 1)).count_ones() as usize;
-            let place = match group.link(index, false) {
-                ChildLink::Leaf { .. } => continue,
-                ChildLink::Group(offset) => (page.clone(), node.page, offset),
-                ChildLink::External(link) => {
-                    let Some(link) = view_page.external_link(link) else {
-                        return Err(reader.invalid_page(node.page, bad_link("link: index", link)));
-                    };
-                    let Some(page) = pin_sound_page(reader, link.page, level, stats)? else {
-                        continue;
-                    };
-                    (page, link.page, link.offset)
-                }
-            };
-            if level >= depth {
-                return Err(reader.invalid_page(place.1, bad_link("tree: depth", depth as u32)));
-            }
+            let index = child_index(group.fields().octants, node.octant);
+            let (from, link) = ((&page, node.page, &view_page), group.link(index, false));
+            let Some(place) = follow_link(reader, from, link, level, stats)? else { continue };
             let group = Group::open(reader, place, view, &Undecided, &layout, stats)?;
             self.push_children(&group, level + 1, view);
         }
@@ -148,7 +135,7 @@ impl Division {
 #[inline(always)]
 fn is_above(view: &Viewpoint, node: &NodeRef) -> bool {
     let (low, high) = (node.bounds.min - view.position, node.bounds.max - view.position);
-    view.top(low, high) > view.bias
+    view.top(low, high) > 0.0
 }
 
 /// Largest distance of a point of a box from another box.

@@ -57,13 +57,12 @@ pub(crate) fn take_leaf<V: CutVisitor>(
     for &(distance2, index) in order.iter() {
         let mut surfel = surfels.surfel(index);
         surfel.center -= position;
-        let reach = Vec3::splat(surfel.radius);
-        let top = || receiver.view.top(surfel.center - reach, surfel.center + reach);
         let is_hidden = if receiver.is_one {
             is_own_surface(&surfel, receiver)
         } else {
             // Far from all receivers there is no own surface, but what lies below the horizon.
-            top() <= receiver.view.bias
+            let reach = Vec3::splat(surfel.radius);
+            receiver.view.top(surfel.center - reach, surfel.center + reach) <= 0.0
         };
         if distance2 == 0.0 || is_hidden {
             continue;

@@ -3,7 +3,7 @@
 use crate::metric::{NodeSeen, Threshold};
 use crate::stats::{CutStats, LEVELS};
 use pbgi_format::{
-    CHILDREN_MAX, Channels, FormatError, GroupView, Lobe, NodePage, PageId, SurfelLayout,
+    CHILDREN_MAX, Channels, ChildLink, FormatError, GroupView, Lobe, NodePage, PageId, SurfelLayout,
 };
 use pbgi_math::{Aabb, Vec3};
 use pbgi_store::{PageRef, Reader, StoreError};
@@ -23,6 +23,8 @@ pub struct NodeRef {
     /// Level of its group, the root's is 1.
     pub(crate) level: u8,
     pub(crate) brightness: f32,
+    /// How far covering disks reach out of the boxes of its group's children at most.
+    pub(crate) cover_margin: f32,
     pub(crate) limits: Limits,
 }
 
@@ -122,7 +124,6 @@ pub(crate) struct Viewpoint {
     pub reach: Aabb,
     pub normals: Normals,
     pub planes: Normals,
-    pub bias: f32,
 }
 
 impl Viewpoint {
@@ -151,9 +152,9 @@ impl Viewpoint {
 
 /// What becomes of a node that is seen: dropped, or too large to be taken as one.
 #[inline(always)]
-pub(crate) fn judge<T: Threshold>(seen: &NodeSeen, bias: f32, threshold: &T) -> (bool, bool) {
+pub(crate) fn judge<T: Threshold>(seen: &NodeSeen, threshold: &T) -> (bool, bool) {
     let limit = threshold.sin2_max(seen) * seen.distance2;
-    (seen.top <= bias || !threshold.is_wanted(seen), seen.radius2 > limit)
+    (seen.top <= 0.0 || !threshold.is_wanted(seen), seen.radius2 > limit)
 }
 
 /// The group at a place of a page.
@@ -178,7 +179,7 @@ impl Group {
     #[inline(always)]
     pub fn open<T: Threshold>(
         reader: &Reader<'_>,
-        (page, page_id, offset): (PageRef, PageId, u32),
+        (page, page_id, offset): GroupPlace,
         viewpoint: &Viewpoint,
         threshold: &T,
         layout: &SurfelLayout,
@@ -236,7 +237,7 @@ impl Group {
             rest &= rest - 1;
             let (low, high) = group.bounds(index);
             let seen = viewpoint.see(low, high, planes >> index & 1 != 0, brightness[index]);
-            let (is_dropped, is_large) = judge(&seen, viewpoint.bias, threshold);
+            let (is_dropped, is_large) = judge(&seen, threshold);
             group.below |= if is_dropped { bit } else { 0 };
             group.large |= if is_large { bit } else { 0 };
         }
@@ -248,7 +249,7 @@ impl Group {
     /// Index of the child of an octant.
     #[inline(always)]
     pub fn index(&self, octant: u8) -> usize {
-        (self.octants & ((1 << octant) - 1)).count_ones() as usize
+        child_index(self.octants, octant)
     }
 
     /// Box of a child, relative to the viewpoint.
@@ -273,9 +274,50 @@ impl Group {
             is_plane: self.planes >> index & 1 != 0,
             level: level.min(LEVELS) as u8,
             brightness: self.brightness[index],
+            cover_margin: self.cover_margin,
             limits: Limits::NONE,
         }
     }
+}
+
+/// Index of an octant's child in its group.
+#[inline(always)]
+pub(crate) fn child_index(octants: u8, octant: u8) -> usize {
+    (octants & ((1 << octant) - 1)).count_ones() as usize
+}
+
+/// A group's page, pinned, its number, and the group's first byte in it.
+pub(crate) type GroupPlace = (PageRef, PageId, u32);
+
+/// The group that `link` leads to, from a group of this level in the page `from`; none behind the link of a leaf, and where the page is damaged and left
+/// out.
+#[inline(always)]
+pub(crate) fn follow_link(
+    reader: &mut Reader<'_>,
+    from: (&PageRef, PageId, &NodePage<'_>),
+    link: ChildLink,
+    level: usize,
+    stats: &mut CutStats,
+) -> Result<Option<GroupPlace>, StoreError> {
+    let (page, page_id, view) = from;
+    let place = match link {
+        ChildLink::Leaf { .. } => return Ok(None),
+        ChildLink::Group(offset) => (page.clone(), page_id, offset),
+        ChildLink::External(link) => {
+            let Some(link) = view.external_link(link) else {
+                return Err(reader.invalid_page(page_id, bad_link("link: index", link)));
+            };
+            let Some(page) = pin_sound_page(reader, link.page, level, stats)? else {
+                return Ok(None);
+            };
+            (page, link.page, link.offset)
+        }
+    };
+    let depth = reader.octree().header().depth;
+    if level >= depth as usize {
+        return Err(reader.invalid_page(place.1, bad_link("tree: depth", depth)));
+    }
+    Ok(Some(place))
 }
 
 /// A number that tells nodes apart.

@@ -4,9 +4,12 @@ use crate::walk::CutReceiver;
 use pbgi_format::LeafSurfel;
 use pbgi_math::Vec3;
 
-/// Share of its radius by which a rectangle or triangle must rise above the plane of the receiver's surface to hide anything: codes of its
-/// place and outline are off by no more.
-pub const OUTLINE_BIAS: f32 = 0.01;
+/// Share of its radius by which a rectangle or triangle must rise above the plane of the receiver's surface to hide anything, where it looks the
+/// same way as that: codes of places and normals are off by no more.
+const ALIKE_BIAS: f32 = 0.05;
+
+/// The same where it looks another way, as nothing of one flat surface does.
+const OUTLINE_BIAS: f32 = 0.01;
 
 /// Cosine of the angle between normals above which a near disk may be a piece of the receiver's own curved surface.
 pub const OWN_SURFACE_COSINE: f32 = 0.7;
@@ -46,7 +49,9 @@ pub(crate) fn is_own_surface(surfel: &LeafSurfel, receiver: &CutReceiver) -> boo
     let plane = receiver.plane;
     let height = surfel.center.dot(plane);
     if surfel.tile.is_known() {
-        let bound = receiver.bias + OUTLINE_BIAS * surfel.radius;
+        let is_alike = surfel.normal.dot(plane) > 0.0;
+        let share = if is_alike { ALIKE_BIAS } else { OUTLINE_BIAS };
+        let bound = share * surfel.radius;
         return height + reach_along(surfel, plane) <= bound;
     }
     let tilt = surfel.normal.dot(plane);
@@ -54,7 +59,7 @@ pub(crate) fn is_own_surface(surfel: &LeafSurfel, receiver: &CutReceiver) -> boo
     let is_facing = !surfel.isotropic && tilt < 0.0;
     let share =
         if is_facing { FACING_BIAS.min(receiver.surfel_bias) } else { receiver.surfel_bias };
-    let least = receiver.bias + share * surfel.radius;
+    let least = share * surfel.radius;
     if height <= least && height + reach_along(surfel, plane) <= least {
         return true;
     }

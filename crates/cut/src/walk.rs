@@ -4,8 +4,8 @@ use crate::cluster::Cluster;
 use crate::leaf::{Leaf, take_leaf};
 use crate::metric::Threshold;
 use crate::node::{
-    Group, Limits, NodeRef, Normals, Viewpoint, bad_link, judge, node_seed, pin_sound_page,
-    view_group,
+    Group, GroupPlace, Limits, NodeRef, Normals, Viewpoint, child_index, follow_link, judge,
+    node_seed, pin_sound_page, view_group,
 };
 use crate::stats::CutStats;
 use pbgi_format::{CHILDREN_MAX, Channels, ChildLink, LeafSurfel, Lobe, PageId};
@@ -20,7 +20,6 @@ pub struct CutReceiver {
     pub(crate) plane: Vec3,
     /// Surfels that rise no more than this above the receiver's plane, in units of their radius, are its own surface.
     pub(crate) surfel_bias: f32,
-    pub(crate) bias: f32,
     /// Whether it stands for itself alone.
     pub(crate) is_one: bool,
 }
@@ -36,17 +35,16 @@ impl CutReceiver {
             reach: Aabb { min: Vec3::ZERO, max: Vec3::ZERO },
             normals: Normals::one(normal),
             planes: Normals::one(plane),
-            bias: 0.0,
         };
-        Self { view, plane, surfel_bias, bias: 0.0, is_one: true }
+        Self { view, plane, surfel_bias, is_one: true }
     }
 
     /// A place that stands for receivers in a box `around` it, with these normals.
     #[must_use]
     pub fn standing_for(position: Vec3, around: &Aabb, normals: Normals) -> Self {
         let reach = Aabb { min: around.min - position, max: around.max - position };
-        let view = Viewpoint { position, reach, normals, planes: normals, bias: 0.0 };
-        Self { view, plane: Vec3::ZERO, surfel_bias: 0.0, bias: 0.0, is_one: false }
+        let view = Viewpoint { position, reach, normals, planes: normals };
+        Self { view, plane: Vec3::ZERO, surfel_bias: 0.0, is_one: false }
     }
 
     /// Unit normal of the surface it lies on; 0 for a place that stands for many.
@@ -98,8 +96,6 @@ const OVERHANG: f32 = 0.125;
 /// A group on the way from where the walk began to where it is.
 struct Frame {
     group: Group,
-    /// Octants that are walked.
-    wanted: u8,
     step: u8,
     /// Its level, the root's is 1.
     level: usize,
@@ -145,24 +141,23 @@ pub fn pick_cut<V: CutVisitor, T: Threshold>(
     stats: &mut CutStats,
 ) -> Result<(), StoreError> {
     scratch.frames.clear();
-    let nodes = match from {
+    let (nodes, boxes) = match from {
         WalkFrom::Root => {
             let place = root_place(reader, stats)?;
             let layout = reader.octree().layout();
             let group = Group::open(reader, place, &receiver.view, threshold, &layout, stats)?;
-            scratch.frames.push(Frame { wanted: group.octants, group, step: 0, level: 1 });
+            scratch.frames.push(Frame { group, step: 0, level: 1 });
             return walk(reader, receiver, threshold, visitor, scratch, stats);
         }
         WalkFrom::Nodes(nodes, boxes) => (nodes, boxes),
     };
-    let (nodes, boxes) = nodes;
     // What is dropped is dropped before its page is asked for.
     let position = receiver.view.position;
     let mut order = std::mem::take(&mut scratch.nodes);
     order.clear();
     for (index, node) in nodes.iter().enumerate() {
         let (low, high) = (node.bounds.min - position, node.bounds.max - position);
-        if receiver.view.top(low, high) > receiver.view.bias {
+        if receiver.view.top(low, high) > 0.0 {
             order.push((nearness(low, high), index as u32));
         }
     }
@@ -187,7 +182,7 @@ pub fn pick_cut<V: CutVisitor, T: Threshold>(
     walked
 }
 
-/// What nodes are ordered by, nearest first: the squared distance of the nearest point of their box, and a little of that of its middle.
+/// What nodes are ordered by, nearest first: the distance of the nearest point of their box, and a little of that of its middle.
 #[inline(always)]
 fn nearness(low: Vec3, high: Vec3) -> f32 {
     let nearest = low.max(-high).max(Vec3::ZERO).length();
@@ -199,7 +194,7 @@ fn nearness(low: Vec3, high: Vec3) -> f32 {
 pub(crate) fn root_place(
     reader: &mut Reader<'_>,
     stats: &mut CutStats,
-) -> Result<(PageRef, PageId, u32), StoreError> {
+) -> Result<GroupPlace, StoreError> {
     let header = *reader.octree().header();
     let before = reader.stats();
     let page = reader.pin_page(header.root_page)?;
@@ -221,9 +216,14 @@ fn walk_node<V: CutVisitor, T: Threshold>(
     let position = receiver.view.position;
     let (low, high) = (node.bounds.min - position, node.bounds.max - position);
     let seen = receiver.view.see(low, high, node.is_plane, node.brightness);
-    let (is_dropped, is_large) = judge(&seen, receiver.view.bias, threshold);
+    let (is_dropped, is_large) = judge(&seen, threshold);
     stats.nodes_visited += 1;
     if is_dropped {
+        return Ok(());
+    }
+    let margin = outer_margin(is_large, node.cover_margin, low, high);
+    if !visitor.is_open(low - margin, high + margin) {
+        stats.culled_opaque += 1;
         return Ok(());
     }
     let level = usize::from(node.level);
@@ -240,7 +240,7 @@ fn walk_node<V: CutVisitor, T: Threshold>(
         level,
         limits: (node.limits != Limits::NONE).then_some((&node.limits, boxes)),
     };
-    visit_child(reader, &child, receiver, threshold, visitor, scratch, stats)?;
+    take_child(reader, &child, margin, receiver, threshold, visitor, scratch, stats)?;
     walk(reader, receiver, threshold, visitor, scratch, stats)
 }
 
@@ -262,7 +262,7 @@ fn walk<V: CutVisitor, T: Threshold>(
         let octant = frame.step ^ frame.group.flip;
         frame.step += 1;
         let bit = 1u8 << octant;
-        if frame.wanted & !frame.group.below & bit == 0 {
+        if frame.group.octants & !frame.group.below & bit == 0 {
             continue;
         }
         let group = &frame.group;
@@ -313,28 +313,6 @@ struct Child<'p> {
     limits: Option<(&'p Limits, [&'p Aabb; 2])>,
 }
 
-/// Takes a node or goes on below it, if anything of it can be seen.
-#[inline(always)]
-fn visit_child<V: CutVisitor, T: Threshold>(
-    reader: &mut Reader<'_>,
-    child: &Child<'_>,
-    receiver: &CutReceiver,
-    threshold: &T,
-    visitor: &mut V,
-    scratch: &mut CutScratch,
-    stats: &mut CutStats,
-) -> Result<(), StoreError> {
-    let layout = reader.octree().layout();
-    let (_, group) = view_group(reader, child.page, child.page_id, child.offset, layout.channels)?;
-    let cover_margin = group.fields().cover_margin;
-    let margin = outer_margin(child.is_large, cover_margin, child.low, child.high);
-    if !visitor.is_open(child.low - margin, child.high + margin) {
-        stats.culled_opaque += 1;
-        return Ok(());
-    }
-    take_child(reader, child, margin, receiver, threshold, visitor, scratch, stats)
-}
-
 /// Takes a node as one, or the surfels of a leaf, or goes on with its children.
 #[inline(always)]
 #[expect(clippy::too_many_arguments, reason = "the state of one walk")]
@@ -348,11 +326,10 @@ fn take_child<V: CutVisitor, T: Threshold>(
     scratch: &mut CutScratch,
     stats: &mut CutStats,
 ) -> Result<(), StoreError> {
-    let octree = reader.octree();
-    let (header, layout) = (octree.header(), octree.layout());
+    let layout = reader.octree().layout();
     let &Child { page, page_id, offset, octant, low, high, level, .. } = child;
     let (view, group) = view_group(reader, page, page_id, offset, layout.channels)?;
-    let index = (group.fields().octants & ((1u8 << octant) - 1)).count_ones() as usize;
+    let index = child_index(group.fields().octants, octant);
     if !child.is_large {
         let lobes = group.lobe_bytes(index, layout.channels);
         let seed = node_seed(page_id, offset, octant);
@@ -360,35 +337,24 @@ fn take_child<V: CutVisitor, T: Threshold>(
         stats.clusters += 1;
         return Ok(());
     }
-    let place = match group.link(index, child.is_leaf) {
-        ChildLink::Leaf { offset, count } => {
-            let leaf = Leaf {
-                page: view.fields().surfel_page,
-                place: (offset, count),
-                frame: group.leaf_frame(index),
-                owner: page_id,
-                level,
-                limits: child.limits,
-            };
-            let order = &mut scratch.order;
-            return take_leaf(reader, &leaf, receiver, visitor, order, &layout, stats);
-        }
-        ChildLink::Group(offset) => (page.clone(), page_id, offset),
-        ChildLink::External(link) => {
-            let Some(link) = view.external_link(link) else {
-                return Err(reader.invalid_page(page_id, bad_link("link: index", link)));
-            };
-            let Some(page) = pin_sound_page(reader, link.page, level, stats)? else {
-                return Ok(());
-            };
-            (page, link.page, link.offset)
-        }
-    };
-    if level >= header.depth as usize {
-        return Err(reader.invalid_page(place.1, bad_link("tree: depth", header.depth)));
+    let link = group.link(index, child.is_leaf);
+    if let ChildLink::Leaf { offset, count } = link {
+        let leaf = Leaf {
+            page: view.fields().surfel_page,
+            place: (offset, count),
+            frame: group.leaf_frame(index),
+            owner: page_id,
+            level,
+            limits: child.limits,
+        };
+        let order = &mut scratch.order;
+        return take_leaf(reader, &leaf, receiver, visitor, order, &layout, stats);
     }
+    let Some(place) = follow_link(reader, (page, page_id, &view), link, level, stats)? else {
+        return Ok(());
+    };
     let group = Group::open(reader, place, &receiver.view, threshold, &layout, stats)?;
-    scratch.frames.push(Frame { wanted: group.octants, group, step: 0, level: level + 1 });
+    scratch.frames.push(Frame { group, step: 0, level: level + 1 });
     Ok(())
 }
 

@@ -148,20 +148,11 @@ impl PlaceBox {
 }
 
 /// What a block has drawn.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 struct BlockState {
     place_box: Option<PlaceBox>,
-    /// Box of its receivers.
-    around: Aabb,
     division: Division,
     fields: Vec<FarField>,
-}
-
-impl Default for BlockState {
-    fn default() -> Self {
-        let around = Aabb { min: Vec3::ZERO, max: Vec3::ZERO };
-        Self { place_box: None, around, division: Division::default(), fields: Vec::new() }
-    }
 }
 
 impl BlockState {
@@ -182,6 +173,7 @@ pub(crate) struct Blocks {
 }
 
 impl Blocks {
+    /// For blocks that share at a raster's resolution.
     pub fn new(table: &CubeRasterTable) -> Self {
         let (n, stride) = (table.edge(), table.stride());
         let mut texels = vec![Aabb { min: Vec3::ZERO, max: Vec3::ZERO }; 6 * n * stride];
@@ -220,8 +212,9 @@ struct Outer<'b> {
 
 impl Outer<'_> {
     fn from(&self) -> WalkFrom<'_> {
-        self.near.map_or(WalkFrom::Root, |state| {
-            WalkFrom::Nodes(&state.division.near, [&state.around, &state.around])
+        let drawn = self.near.and_then(|state| Some((state.place_box.as_ref()?, &state.division)));
+        drawn.map_or(WalkFrom::Root, |(PlaceBox { around, .. }, division)| {
+            WalkFrom::Nodes(&division.near, [around, around])
         })
     }
 }
@@ -269,7 +262,8 @@ impl Gatherer<'_> {
         level: usize,
         outer: Outer<'_>,
     ) -> Result<(), StoreError> {
-        if block.stop.load(Ordering::Relaxed) {
+        // All at one place lie in one half.
+        if members.is_empty() || block.stop.load(Ordering::Relaxed) {
             return Ok(());
         }
         let place_box = PlaceBox::new(block.receivers, members);
@@ -316,7 +310,6 @@ impl Gatherer<'_> {
         let division = &mut state.division;
         division.divide(reader, outer.from(), &at_middle, &around, overlap, &separation, stats)?;
         state.place_box = Some(*place_box);
-        state.around = around;
         if division.far.is_empty() {
             return Ok(());
         }
@@ -326,11 +319,13 @@ impl Gatherer<'_> {
         if state.fields.len() < count {
             state.fields.resize(count, FarField::default());
         }
+        let outer_box = outer.near.and_then(|outer| outer.place_box.as_ref());
+        let outer_box = outer_box.map_or(&around, |outer| &outer.around);
         for number in 0..count {
             let position = place_box.place(number);
             let place = CutReceiver::standing_for(position, &around, normals);
             let behind = outer.behind.and_then(|outer| outer.blend(position));
-            let boxes = [&around, outer.near.map_or(&around, |outer| &outer.around)];
+            let boxes = [&around, outer_box];
             let from = WalkFrom::Nodes(&state.division.far, boxes);
             self.draw_far(&place, from, behind.as_ref(), &needed, &mut state.fields[number])?;
         }

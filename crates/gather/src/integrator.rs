@@ -59,9 +59,16 @@ pub struct GatherSettings {
 }
 
 impl GatherSettings {
-    /// A parallax whose error is about that of the default cut: blending is of second order in it.
-    pub const SHARED_PARALLAX: f32 = 0.2;
+    /// The parallax to share with at this solid angle of nodes: twice the half-angle that a node may have, since blending is of second order in
+    /// it, up to where places no longer stand for what lies between them.
+    #[must_use]
+    pub fn shared_parallax(solid_angle_sr: f32) -> f32 {
+        (2.0 * (solid_angle_sr * std::f32::consts::FRAC_1_PI).sqrt()).clamp(0.02, PARALLAX_MAX)
+    }
 }
+
+/// Largest parallax of blocks that is sensible.
+const PARALLAX_MAX: f32 = 0.6;
 
 impl Default for GatherSettings {
     fn default() -> Self {
@@ -113,7 +120,7 @@ impl<'a> Gatherer<'a> {
             settings: *settings,
             light,
             raster: CubeRaster::new(&table, shines),
-            blocks: Blocks::new(&table),
+            blocks: if settings.parallax > 0.0 { Blocks::new(&table) } else { Blocks::default() },
             table: ConvolutionTable::new(&table, settings.up),
             lobe: LobeScratch::new(settings.lobe_level),
             stakes: None,

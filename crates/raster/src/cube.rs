@@ -377,8 +377,9 @@ impl CubeRaster {
             for column in 0..self.n {
                 let index = row * self.stride + column;
                 let needed = is_needed[index];
+                // What is not needed holds no light either, which stale depths would decide on.
                 self.covered[index] = if needed { 0 } else { ALL };
-                self.above[index] = ALL;
+                self.above[index] = if needed { ALL } else { 0 };
                 bits |= u64::from(needed) << column;
             }
             self.open[row] = bits;

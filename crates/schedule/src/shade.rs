@@ -1,6 +1,6 @@
 //! Receivers as a stream: chunks come in, neighbors go to workers in batches, results come out in the order of the receivers.
 
-use crate::queue::{Chunk, Queue, StopOnDrop};
+use crate::queue::{BATCH_RECEIVERS, BLOCK_RECEIVERS, Chunk, Queue, StopOnDrop};
 use crate::spread::Spread;
 use pbgi_gather::{CutStats, GatherSettings, Gatherer, PreparedLight, Receiver, Shading};
 use pbgi_math::{Aabb, RootCube};
@@ -132,6 +132,7 @@ pub struct Shaded<'s, T> {
 pub struct Feed<'q, 'r, T, E> {
     queue: &'q Queue<'r>,
     order: ReceiverOrder,
+    batch: usize,
     attached: VecDeque<T>,
     pushed: u64,
     take: &'q mut dyn FnMut(Shaded<'_, T>) -> Result<(), E>,
@@ -155,7 +156,7 @@ impl<'r, T, E: From<ScheduleError>> Feed<'_, 'r, T, E> {
         };
         self.pushed += receivers.len() as u64;
         self.attached.push_back(attached);
-        self.queue.push(Chunk { receivers, order });
+        self.queue.push(Chunk { receivers, order, batch: self.batch });
         Ok(())
     }
 
@@ -205,8 +206,10 @@ pub fn shade_stream<'r, T, E: From<ScheduleError>>(
         }
         let guard = StopOnDrop(&queue);
         let attached = VecDeque::with_capacity(CHUNKS_IN_FLIGHT);
-        let mut feed =
-            Feed { queue: &queue, order: options.order, attached, pushed: 0, take: &mut take };
+        let shares = options.gather.parallax > 0.0;
+        let batch = if shares { BLOCK_RECEIVERS } else { BATCH_RECEIVERS };
+        let (queue, order, take) = (&queue, options.order, &mut take);
+        let mut feed = Feed { queue, order, batch, attached, pushed: 0, take };
         let fed = fill(&mut feed).and_then(|()| feed.drain());
         drop(guard);
         let join = |worker: std::thread::ScopedJoinHandle<'_, ShadeReport>| {

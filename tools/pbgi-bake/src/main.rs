@@ -136,6 +136,9 @@ struct LightArgs {
     /// Texels along a face of the cube raster
     #[arg(long, value_name = "N", default_value_t = 6)]
     bounce_raster: usize,
+    /// Most neighbors on one surface that share a gather; 1 gathers for each
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    bounce_share: usize,
 }
 
 /// Layout of the file.
@@ -219,6 +222,7 @@ impl Args {
                 bounces: light.bounces,
                 solid_angle_sr: light.bounce_solid_angle,
                 raster_edge: light.bounce_raster,
+                share: light.bounce_share,
             },
             resume: self.resume,
             temp_dir: self.temp_dir.clone(),

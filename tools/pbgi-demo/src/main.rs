@@ -46,9 +46,13 @@ struct DemoArgs {
 /// Columns of the sky's image; it is half as high.
 const SKY_COLUMNS: usize = 2048;
 
-/// What a first look is gathered with: half the time of the defaults.
-const QUICK_SOLID_ANGLE_SR: f32 = 0.08;
-const QUICK_RASTER_EDGE: usize = 8;
+/// What the picture is gathered with: half the time of the defaults.
+const SOLID_ANGLE_SR: f32 = 0.08;
+const RASTER_EDGE: usize = 8;
+
+/// Neighbors on one surface that share a gather when the surfels are lit: their light is only seen
+/// reflected by others.
+const SHARE: usize = 256;
 
 /// Largest solid angle of a node where surfels are lit.
 const BAKE_SOLID_ANGLE_SR: f32 = 1.0;
@@ -78,7 +82,7 @@ impl Demo {
         args.common.check()?;
         std::fs::create_dir_all(&args.out)
             .map_err(|source| PbgiError::output(&args.out, "create", source))?;
-        let ([width, height], plain) = (args.resolution, ShadeSettings::default());
+        let [width, height] = args.resolution;
         Ok(Self {
             out: args.out.clone(),
             scene_name: format!("demo:street?seed={}", args.seed),
@@ -89,8 +93,8 @@ impl Demo {
                 args.resolution
             },
             shading_rate: 2.5,
-            solid_angle_sr: if args.quick { QUICK_SOLID_ANGLE_SR } else { plain.solid_angle_sr },
-            raster_edge: if args.quick { QUICK_RASTER_EDGE } else { plain.raster_edge },
+            solid_angle_sr: SOLID_ANGLE_SR,
+            raster_edge: RASTER_EDGE,
             common: args.common,
             progress: args.common.start_progress(6),
         })
@@ -165,6 +169,7 @@ impl Demo {
             sampling: Sampling::Surfels(self.surfels),
             light: LightRequest {
                 environment: Some(EnvironmentSpec::from_file(sky)),
+                share: SHARE,
                 solid_angle_sr: BAKE_SOLID_ANGLE_SR,
                 ..LightRequest::default()
             },

@@ -6,6 +6,7 @@ pub(crate) mod pass_files;
 pub(crate) mod relight;
 pub(crate) mod report;
 pub(crate) mod request;
+pub(crate) mod share;
 
 use crate::PbgiError;
 use crate::bake::input::{Inputs, OctreeUse, SceneSampling};
@@ -420,11 +421,11 @@ impl<'a> Baker<'a> {
         let mut stream = RelitStream::new(sorted, pass);
         let summary = self.stream_summary(&summary, radiance_bound);
         let build = build_octree(&mut stream, &summary, options, target)?;
-        let reached = stream.radiance_max;
+        let (reached, gathers) = (stream.radiance_max, stream.gathers);
         phase.set_done(build.surfels);
         drop(phase);
         let report = PhaseReport::new(name, start.elapsed().as_secs_f64(), build.surfels);
-        self.report.phases.push(report.of_light(bounce));
+        self.report.phases.push(report.of_light(bounce, gathers));
         Ok((build, reached))
     }
 

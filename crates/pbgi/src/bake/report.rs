@@ -105,24 +105,30 @@ pub struct PhaseReport {
     pub seconds: f64,
     /// Surfels per second.
     pub surfels_per_second: f64,
+    /// Gathers of a pass of light: as many as surfels, or fewer where neighbors share them (`--bounce-share`).
+    pub gathers: Option<u64>,
 }
 
 impl PhaseReport {
     pub(crate) fn new(name: &'static str, seconds: f64, surfels: u64) -> Self {
         let surfels_per_second = surfels as f64 / seconds.max(1e-9);
-        Self { name, bounce: None, seconds, surfels_per_second }
+        Self { name, bounce: None, seconds, surfels_per_second, gathers: None }
     }
 
     /// The same, of a pass of light.
-    pub(crate) fn of_light(self, bounce: u32) -> Self {
-        Self { bounce: Some(bounce), ..self }
+    pub(crate) fn of_light(self, bounce: u32, gathers: u64) -> Self {
+        Self { bounce: Some(bounce), gathers: Some(gathers), ..self }
     }
 
     /// Time and rate, behind the number of the bounce if there may be several.
     fn text(&self) -> String {
         let (seconds, rate) = (format_seconds(self.seconds), format_count(self.surfels_per_second));
+        let gathers = self.gathers.map_or(String::new(), |gathers| {
+            let per_second = gathers as f64 / self.seconds.max(1e-9);
+            format!(", {} gathers/s", format_count(per_second))
+        });
         let number = self.bounce.filter(|&b| b > 0).map_or(String::new(), |b| format!("{b}: "));
-        format!("{number}{seconds}, {rate} surfels/s")
+        format!("{number}{seconds}, {rate} surfels/s{gathers}")
     }
 }
 
@@ -204,16 +210,16 @@ mod tests {
 
     #[test]
     fn every_bounce_has_its_row() {
-        let light = PhaseReport::new("light", 2.0, 1000).of_light(0);
-        let bounces = (1..3).map(|b| PhaseReport::new("bounce", 0.5, 1000).of_light(b));
+        let light = PhaseReport::new("light", 2.0, 1000).of_light(0, 1000);
+        let bounces = (1..3).map(|b| PhaseReport::new("bounce", 0.5, 1000).of_light(b, 100));
         let phases = std::iter::once(light).chain(bounces).collect();
         let rows = BakeReport { phases, ..BakeReport::default() }.rows();
         let of =
             |name| rows.iter().filter(|r| r.0 == name).map(|r| r.1.as_str()).collect::<Vec<_>>();
-        assert!(of("light")[0].ends_with("500 surfels/s"), "{rows:?}");
+        assert!(of("light")[0].ends_with("500 surfels/s, 500 gathers/s"), "{rows:?}");
         let [first, second] = of("bounce")[..] else { panic!("{rows:?}") };
         assert!(first.starts_with("1: ") && second.starts_with("2: "), "{rows:?}");
-        assert!(second.ends_with("2.00 k surfels/s"), "{rows:?}");
+        assert!(second.ends_with("200 gathers/s"), "{rows:?}");
     }
 
     #[test]

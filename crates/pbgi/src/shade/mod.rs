@@ -218,7 +218,7 @@ impl Default for ShadeSettings {
             target_error: None,
             importance: gather.importance,
             raster_edge: gather.raster_edge,
-            share: true,
+            share: false,
             gloss: None,
             bias: gather.bias,
             environment: None,
@@ -274,7 +274,11 @@ impl ShadeSettings {
             importance: self.importance,
             raster_edge: self.raster_edge,
             bias: self.bias,
-            parallax: if self.share { GatherSettings::SHARED_PARALLAX } else { 0.0 },
+            parallax: if self.share {
+                GatherSettings::shared_parallax(self.solid_angle_sr)
+            } else {
+                0.0
+            },
             up: up_axis(header),
             ..GatherSettings::default()
         }
@@ -397,12 +401,16 @@ impl<'a> Session<'a> {
         let calibration = Calibration {
             octree: &self.octree,
             light: self.light.as_ref(),
-            gather: self.gather,
+            // The sample is too thin to share anything.
+            gather: GatherSettings { parallax: 0.0, ..self.gather },
             threads: self.threads,
             cancel: self.cancel,
         };
         let report = calibration.choose(target, receivers, progress)?;
         self.gather.solid_angle_sr = report.solid_angle_sr;
+        if self.gather.parallax > 0.0 {
+            self.gather.parallax = GatherSettings::shared_parallax(report.solid_angle_sr);
+        }
         self.target = Some(report);
         Ok(())
     }
