@@ -3,17 +3,18 @@
 use crate::workspace::Workspace;
 
 /// Every crate in `crates/` with the workspace crates it uses, in the order of the layers.
-pub const EDGES: [(&str, &[&str]); 16] = [
+pub const EDGES: [(&str, &[&str]); 17] = [
     ("math", &[]),
-    ("cloud", &["math"]),
-    ("image", &["math"]),
+    ("file", &[]),
+    ("cloud", &["file", "math"]),
+    ("image", &["file", "math"]),
     ("format", &["math"]),
     ("raster", &["math"]),
-    ("scene", &["cloud", "math"]),
+    ("scene", &["cloud", "file", "math"]),
     ("light", &["image", "math"]),
-    ("sort", &["cloud", "math"]),
-    ("build", &["cloud", "format", "math"]),
-    ("store", &["format", "math"]),
+    ("sort", &["cloud", "file", "math"]),
+    ("build", &["cloud", "file", "format", "math"]),
+    ("store", &["file", "format", "math"]),
     ("cut", &["format", "math", "store"]),
     ("brdf", &["math", "raster"]),
     ("gather", &["brdf", "cut", "format", "light", "math", "raster", "store"]),
@@ -21,8 +22,8 @@ pub const EDGES: [(&str, &[&str]); 16] = [
     (
         "pbgi",
         &[
-            "build", "cloud", "format", "gather", "image", "light", "math", "scene", "schedule",
-            "sort", "store",
+            "build", "cloud", "file", "format", "gather", "image", "light", "math", "scene",
+            "schedule", "sort", "store",
         ],
     ),
     ("testkit", &["cloud", "math"]),

@@ -22,7 +22,6 @@ pub use error::BuildError;
 pub use lobe_sum::LobeSum;
 pub use octree::{build_octree, build_octree_from_pieces};
 pub use reduce::LobeSums;
-pub use writer::remove_unfinished;
 
 use pbgi_cloud::Surfel;
 pub use pbgi_format::LeafRounding;

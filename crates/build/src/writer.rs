@@ -1,84 +1,44 @@
-//! The file being written: pages first, then the page table, the header last, and a rename.
+//! The file being written: pages first, then the page table, the header last.
 
 use crate::error::BuildError;
 use crate::pack::Group;
 use crate::pages::{PageBatch, PageSink};
+use pbgi_file::AtomicFile;
 use pbgi_format::{
     ExternalLink, HEADER_BYTES, Header, PAGE_ALIGNMENT, PageEntry, SurfelLayout, page_checksum,
 };
-use std::fs::File;
-use std::io::{BufWriter, Seek, SeekFrom, Write};
+use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
-
-/// Removes what a killed build of `target` has left, but not what a running one is writing.
-///
-/// # Errors
-///
-/// If it is there and cannot be removed.
-pub fn remove_unfinished(target: &Path) -> std::io::Result<()> {
-    let path = unfinished_path(target);
-    let file = match File::options().write(true).open(&path) {
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(()),
-        other => other?,
-    };
-    match rustix::fs::flock(&file, rustix::fs::FlockOperation::NonBlockingLockExclusive) {
-        Ok(()) => std::fs::remove_file(&path),
-        Err(_) => Ok(()),
-    }
-}
-
-/// Path of the file that becomes `target` when it is complete.
-fn unfinished_path(target: &Path) -> PathBuf {
-    let mut name = std::ffi::OsString::from(".");
-    name.push(target.file_name().unwrap_or_else(|| "scene.pbgi".as_ref()));
-    name.push(".tmp");
-    target.with_file_name(name)
-}
 
 /// An octree file that does not exist under its name before [`FileWriter::finish`].
 pub(crate) struct FileWriter {
     target: PathBuf,
-    temporary: PathBuf,
-    file: BufWriter<File>,
+    file: AtomicFile,
     position: u64,
     table: Vec<u8>,
     page_count: u64,
     page_bytes_max: u32,
     surfel_bytes: u64,
     compress: bool,
-    finished: bool,
 }
 
 impl FileWriter {
-    /// Starts a file beside `target`, under a name of its own that a later run takes over should
-    /// this one be killed.
+    /// Starts a file beside `target`.
     pub fn create(target: &Path, compress: bool) -> Result<Self, BuildError> {
-        let temporary = unfinished_path(target);
-        let io = |action| {
-            let path = temporary.clone();
-            move |source| BuildError::Io { path, action, source }
-        };
-        let file = File::options()
-            .write(true)
-            .create(true)
-            .truncate(false)
-            .open(&temporary)
-            .map_err(io("create"))?;
-        // Two bakes of one file at once: the second must not destroy what the first writes.
-        rustix::fs::flock(&file, rustix::fs::FlockOperation::NonBlockingLockExclusive)
-            .map_err(|e| io("lock (is another bake writing the same file?)")(e.into()))?;
-        file.set_len(0).map_err(io("truncate"))?;
+        let file = AtomicFile::create(target).map_err(|source| BuildError::Io {
+            path: target.to_owned(),
+            action: "create",
+            source,
+        })?;
         let mut writer = Self {
             target: target.to_owned(),
-            temporary: temporary.clone(),
-            file: BufWriter::with_capacity(1 << 20, file),
+            file,
             position: 0,
             table: Vec::new(),
             page_count: 0,
             page_bytes_max: 0,
             surfel_bytes: 0,
             compress,
-            finished: false,
         };
         writer.write(&[0; HEADER_BYTES])?;
         Ok(writer)
@@ -134,20 +94,12 @@ impl FileWriter {
         let written = self
             .file
             .seek(SeekFrom::Start(0))
-            .and_then(|_| self.file.write_all(&header.to_bytes()))
-            .and_then(|()| self.file.flush())
-            .and_then(|()| self.file.get_ref().sync_all());
+            .and_then(|_| self.file.write_all(&header.to_bytes()));
         written.map_err(|source| self.io("write", source))?;
-        std::fs::rename(&self.temporary, &self.target).map_err(|e| self.io("rename", e))?;
-        self.finished = true;
-        // The rename itself must survive a power cut; not every file system can sync a folder.
-        if let Some(folder) = self.target.parent() {
-            let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
-            if let Ok(folder) = File::open(folder) {
-                let _ = folder.sync_all();
-            }
-        }
-        Ok((file_bytes, self.page_count))
+        let Self { file, target: path, page_count, .. } = self;
+        let committed = file.commit();
+        committed.map_err(|e| BuildError::Io { path, action: e.action, source: e.source })?;
+        Ok((file_bytes, page_count))
     }
 }
 
@@ -161,14 +113,5 @@ impl PageSink for FileWriter {
         let links = batch.write_treelets(roots, layout)?;
         self.append(batch)?;
         Ok(links)
-    }
-}
-
-impl Drop for FileWriter {
-    fn drop(&mut self) {
-        if !self.finished {
-            // Nothing better can be done in a destructor; a later run takes the file over.
-            let _ = std::fs::remove_file(&self.temporary);
-        }
     }
 }

@@ -1,6 +1,7 @@
 //! Files that are read once, from front to back.
 
 use crate::CloudError;
+use pbgi_file::open_input;
 use rustix::fs::{Advice, fadvise};
 use std::fs::File;
 use std::io::Read;
@@ -27,7 +28,7 @@ pub(crate) struct ForwardFile {
 impl ForwardFile {
     /// Opens the file `path`.
     pub fn open(path: &Path) -> Result<Self, CloudError> {
-        let file = File::open(path).map_err(|e| CloudError::io(path, "open", e))?;
+        let file = open_input(path).map_err(|e| CloudError::io(path, "open", e))?;
         Ok(Self::new(file, CACHED_BYTES_MAX))
     }
 

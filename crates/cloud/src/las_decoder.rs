@@ -10,6 +10,7 @@ use crate::CloudError;
 use crate::las::LAS_MAGIC;
 use las::Header;
 use laz::{LasZipDecompressor, LazItemType, LazVlr};
+use pbgi_file::open_input;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -196,7 +197,7 @@ struct GuardedFile {
 impl GuardedFile {
     fn open(path: &Path) -> Result<Self, CloudError> {
         let io = |e| CloudError::io(path, "read", e);
-        let mut file = File::open(path).map_err(|e| CloudError::io(path, "open", e))?;
+        let mut file = open_input(path).map_err(|e| CloudError::io(path, "open", e))?;
         let length = file.seek(SeekFrom::End(0)).map_err(io)?;
         file.seek(SeekFrom::Start(0)).map_err(io)?;
         let mut header = Vec::with_capacity(HEADER_BYTES_MAX);

@@ -3,11 +3,13 @@
 //! Extra dimensions are floats behind the fields of each point, described by a record of 192 bytes each (LAS 1.4,
 //! "Extra Bytes", user `LASF_Spec`, record 4), which readers of all versions know.
 
+use crate::CloudError;
 use crate::las_decoder::{LasDecoder, array_at, guard};
+use crate::output::{commit_output, create_output};
 use crate::robust::PlaceSample;
-use crate::{AtomicFile, CloudError};
 use las::PointData;
 use laz::{LasZipCompressor, LazItemRecordBuilder, LazVlrBuilder};
+use pbgi_file::{AtomicFile, open_input};
 use pbgi_math::DVec3;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -188,7 +190,7 @@ impl LasResultWriter {
             head.records.push(Record::new(LASZIP_USER, LASZIP_RECORD, data));
         }
         let bytes = head.to_bytes(format | if compress { 0x80 } else { 0 }, new_bytes);
-        let mut file = AtomicFile::create(output)?;
+        let mut file = create_output(output)?;
         let bytes = bytes.map_err(malformed)?;
         file.write_all(&bytes).map_err(|e| CloudError::io(output, "write", e))?;
         let file = match vlr {
@@ -272,7 +274,7 @@ impl LasResultWriter {
         };
         let io = |e| CloudError::io(&self.input, "copy the records of", e);
         self.head.copy_extended(&self.input, &mut file).map_err(io)?;
-        file.commit()?;
+        commit_output(file)?;
         Ok(self.written)
     }
 }
@@ -320,7 +322,7 @@ fn is_user(field: &[u8], user: &str) -> bool {
 impl Head {
     /// Reads what lies before the points of a file whose header was checked.
     fn read(path: &Path) -> Result<Self, CloudError> {
-        let mut file = File::open(path).map_err(|e| CloudError::io(path, "open", e))?;
+        let mut file = open_input(path).map_err(|e| CloudError::io(path, "open", e))?;
         Self::read_from(&mut file)
             .map_err(|e| CloudError::io(path, "read", e))?
             .map_err(|message| CloudError::malformed(path, message))
@@ -474,7 +476,7 @@ impl Head {
             return Ok(());
         }
         let start = output.seek(SeekFrom::End(0))?;
-        let mut input = File::open(input)?;
+        let mut input = open_input(input)?;
         for (at, bytes) in &self.extended {
             input.seek(SeekFrom::Start(*at))?;
             std::io::copy(&mut Read::by_ref(&mut input).take(*bytes), output)?;

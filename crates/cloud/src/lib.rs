@@ -3,7 +3,6 @@
 //! Readers yield bounded chunks; none holds a whole cloud. This crate must never know how surfels are sorted, stored or lit.
 #![forbid(unsafe_code)]
 
-mod atomic_file;
 mod concat;
 mod forward_file;
 mod las;
@@ -12,6 +11,7 @@ mod las_results;
 mod lazy;
 mod number;
 mod open;
+mod output;
 mod ply;
 mod ply_columns;
 mod ply_points;
@@ -27,7 +27,6 @@ mod row_writer;
 mod source;
 mod surfel;
 
-pub use atomic_file::AtomicFile;
 pub use concat::ConcatSource;
 pub use las::{LAS_MAGIC, LasPoints};
 pub use las_results::{LasPlaces, LasResultWriter, LasSurvey};

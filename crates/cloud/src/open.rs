@@ -5,7 +5,7 @@ use crate::las::LAS_MAGIC;
 use crate::ptc::PTC_MAGIC;
 use crate::raw::RAW_MAGIC;
 use crate::{CloudError, CloudOptions, LasPoints, PlyPoints, PtcPoints, RawSource, SurfelSource};
-use std::fs::File;
+use pbgi_file::open_input;
 use std::io::Read;
 use std::path::Path;
 
@@ -22,7 +22,7 @@ pub fn open_cloud(
     if path.as_os_str() == "-" {
         return Ok(Box::new(RawSource::new(std::io::stdin(), path, options)?));
     }
-    let file = File::open(path).map_err(|e| CloudError::io(path, "open", e))?;
+    let file = open_input(path).map_err(|e| CloudError::io(path, "open", e))?;
     let mut start = Vec::new();
     file.take(RAW_MAGIC.len() as u64)
         .read_to_end(&mut start)

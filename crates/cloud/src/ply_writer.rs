@@ -1,7 +1,9 @@
 //! Writing tables of named columns as PLY.
 
+use crate::output::{commit_output, create_output};
 use crate::row_writer::{TypedColumn, check_names};
-use crate::{AtomicFile, CloudError, PlyElement, PlyKind, PlyReader, PlyRow};
+use crate::{CloudError, PlyElement, PlyKind, PlyReader, PlyRow};
+use pbgi_file::{AtomicFile, open_input};
 use std::fs::File;
 use std::io::{BufReader, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -69,7 +71,7 @@ impl PlyWriter {
                 Ok::<_, CloudError>((source.to_owned(), elements))
             })
             .transpose()?;
-        let file = AtomicFile::create(path)?;
+        let file = create_output(path)?;
         let mut writer = Self { file, columns, value_count: 0, bytes: Vec::new(), source };
         writer.write_header()?;
         Ok(writer)
@@ -130,7 +132,7 @@ impl PlyWriter {
             .map_err(|e| CloudError::io(self.file.path(), "write", e))?;
         self.write_header()?;
         let rows = self.row_count();
-        self.file.commit()?;
+        commit_output(self.file)?;
         Ok(rows)
     }
 
@@ -198,7 +200,7 @@ impl PlyWriter {
 }
 
 fn open(path: &Path) -> Result<PlyReader<BufReader<File>>, CloudError> {
-    let file = File::open(path).map_err(|e| CloudError::io(path, "open", e))?;
+    let file = open_input(path).map_err(|e| CloudError::io(path, "open", e))?;
     PlyReader::new(BufReader::new(file), path)
 }
 

@@ -27,6 +27,7 @@ use crate::ply_columns::BinaryRows;
 use crate::record_batch::{BATCH_RECORDS, RecordBatch, field};
 use crate::source::CHUNK_SURFELS;
 use crate::{CloudError, CloudOptions, InvalidPolicy, Surfel, SurfelSource};
+use pbgi_file::open_input;
 use pbgi_math::{Aabb, Vec3};
 use std::f32::consts::{FRAC_1_PI, PI, TAU};
 use std::fs::File;
@@ -70,7 +71,7 @@ impl PtcPoints {
     ///
     /// If the file cannot be read, is no `.ptc` file, or claims more than it holds.
     pub fn open(path: &Path, options: &CloudOptions) -> Result<Self, CloudError> {
-        let file = File::open(path).map_err(|e| CloudError::io(path, "open", e))?;
+        let file = open_input(path).map_err(|e| CloudError::io(path, "open", e))?;
         let file_bytes = file.metadata().map_err(|e| CloudError::io(path, "read", e))?.len();
         let mut reader = BufReader::with_capacity(1 << 18, file);
         let header = PtcHeader::read(&mut reader, path)?;

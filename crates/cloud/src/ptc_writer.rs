@@ -1,7 +1,9 @@
 //! RenderMan's point clouds, `.ptc`: writing, a bounded number of points at a time.
 
+use crate::CloudError;
+use crate::output::{commit_output, create_output};
 use crate::ptc::{PTC_MAGIC, encode_normal};
-use crate::{AtomicFile, CloudError};
+use pbgi_file::AtomicFile;
 use pbgi_math::{Aabb, Vec3};
 use std::f32::consts::PI;
 use std::io::{Seek, SeekFrom, Write};
@@ -42,7 +44,7 @@ impl PtcWriter {
     ///
     /// If the folder cannot be written.
     pub fn create(path: &Path, radiosity: bool, albedo: bool) -> Result<Self, CloudError> {
-        let file = AtomicFile::create(path)?;
+        let file = create_output(path)?;
         let bounds = Aabb::EMPTY;
         let mut writer = Self { file, radiosity, albedo, count: 0, bounds, bytes: Vec::new() };
         writer.write_header()?;
@@ -83,7 +85,7 @@ impl PtcWriter {
             .seek(SeekFrom::Start(0))
             .map_err(|e| CloudError::io(self.file.path(), "write", e))?;
         self.write_header()?;
-        self.file.commit()?;
+        commit_output(self.file)?;
         Ok(self.count)
     }
 

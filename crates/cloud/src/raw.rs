@@ -29,9 +29,10 @@
 //! farthest corner is `radius` from its centroid ([`pbgi_math::TileCode`]), or 0.
 //! That of version 1 is the normal alone, in two 16-bit numbers; such streams are read, not written.
 
+use crate::output::{commit_output, create_output};
 use crate::record::{Defect, Record, is_sound};
 use crate::source::CHUNK_SURFELS;
-use crate::{AtomicFile, CloudError, CloudOptions, Surfel, SurfelFlags, SurfelSource};
+use crate::{CloudError, CloudOptions, Surfel, SurfelFlags, SurfelSource};
 use half::f16;
 use pbgi_math::{Aabb, DVec3, Vec3, decode_octahedral, decode_octahedral24};
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -340,7 +341,7 @@ pub fn write_raw_file(
     kind: RawKind,
     source: &mut dyn SurfelSource,
 ) -> Result<u64, CloudError> {
-    let file = AtomicFile::create(path)?;
+    let file = create_output(path)?;
     let mut writer = RawWriter::new(file, path, kind, source.origin(), None)?;
     let mut surfels = Vec::new();
     let mut bounds = Aabb::EMPTY;
@@ -362,7 +363,7 @@ pub fn write_raw_file(
             file.write_all(bytemuck::cast_slice(&cube_around(&bounds).map(f32::to_le_bytes)))
         })
         .map_err(|e| CloudError::io(path, "write", e))?;
-    file.commit()?;
+    commit_output(file)?;
     Ok(count)
 }
 

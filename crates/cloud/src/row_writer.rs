@@ -1,6 +1,8 @@
 //! Rows of numbers as PLY, NumPy array or CSV.
 
-use crate::{AtomicFile, CloudError, PlyType, PlyWriter};
+use crate::output::{commit_output, create_output};
+use crate::{CloudError, PlyType, PlyWriter};
+use pbgi_file::AtomicFile;
 use std::io::{Seek, SeekFrom, Write};
 use std::path::Path;
 
@@ -166,7 +168,7 @@ fn push_text(columns: &[TypedColumn], row: &[f64], bytes: &mut Vec<u8>) {
 impl Table {
     fn create(path: &Path, columns: Vec<TypedColumn>) -> Result<Self, CloudError> {
         check_names(path, &columns)?;
-        let file = AtomicFile::create(path)?;
+        let file = create_output(path)?;
         Ok(Self { file, columns, row_count: 0, bytes: Vec::new() })
     }
 
@@ -230,7 +232,7 @@ impl Table {
     }
 
     fn commit(self) -> Result<u64, CloudError> {
-        self.file.commit()?;
+        commit_output(self.file)?;
         Ok(self.row_count)
     }
 }

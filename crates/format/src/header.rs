@@ -66,6 +66,12 @@ impl HeaderFlags {
     }
 }
 
+/// Largest coordinate of a file, relative to its origin, and largest size: the fourth power of such is a number still.
+pub const COORDINATE_MAX: f32 = (1u64 << 31) as f32;
+
+/// Largest scale of stored radiance: that of the largest number there is.
+const RADIANCE_SCALE_MAX: f32 = 1.1e34;
+
 /// Everything about the file that is not in a page.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Header {
@@ -275,6 +281,17 @@ impl Header {
             && self.flux_total.iter().all(|f| f.is_finite());
         if !finite || !self.radius_codec.is_valid() || !self.area_codec.is_valid() {
             return Err(FormatError::new("header: geometry", "a number out of range", "finite"));
+        }
+        let in_range = self.root.edge <= 2.1 * COORDINATE_MAX
+            && [self.root.min, self.bounds.min, self.bounds.max]
+                .iter()
+                .all(|corner| corner.abs().max_element() <= COORDINATE_MAX)
+            && self.radius_codec.limit() <= 2.0 * COORDINATE_MAX
+            && self.area_codec.limit() <= 16.0 * COORDINATE_MAX * COORDINATE_MAX
+            && self.radiance_scale <= RADIANCE_SCALE_MAX;
+        if !in_range {
+            let expected = format_args!("sizes within {COORDINATE_MAX}");
+            return Err(FormatError::new("header: geometry", "a number out of range", expected));
         }
         Ok(())
     }

@@ -170,6 +170,9 @@ pub struct LeafView<'a> {
     albedo: Above,
 }
 
+/// How much larger than the largest radius one that is reckoned from rounded sizes may be.
+const RADIUS_ROUNDING: f32 = 2.0;
+
 /// What is stored of a surfel between its position and its colors.
 struct Shape {
     /// First bit of its colors.
@@ -476,6 +479,11 @@ impl<'a> LeafView<'a> {
             let half_short = 0.25 * area / size;
             (radius, half_long) = ((size * size + half_short * half_short).sqrt(), size);
         }
+        // Only damage makes a rectangle or triangle larger than all of the file's radii: it is a disk then, and finite.
+        let radius_max = self.layout.radius.limit() * RADIUS_ROUNDING;
+        let is_sound = radius <= radius_max;
+        let (tile, foot) = if is_sound { (tile, foot) } else { (TileCode::NONE, FootCode::NONE) };
+        (radius, half_long) = if is_sound { (radius, half_long) } else { (radius_max, 0.0) };
         let front_only = area_code & !CODE_MASK != 0;
         Shape { end: at, normal, tile, foot, radius, half_long, area, isotropic, front_only }
     }

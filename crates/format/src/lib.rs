@@ -18,7 +18,9 @@ pub use group::{
     CHILDREN_MAX, ChildBox, ChildLink, GROUP_FIXED_BYTES, GroupFields, GroupView, group_bytes,
     write_group,
 };
-pub use header::{Channels, FORMAT_VERSION, HEADER_BYTES, Header, HeaderFlags, MAGIC};
+pub use header::{
+    COORDINATE_MAX, Channels, FORMAT_VERSION, HEADER_BYTES, Header, HeaderFlags, MAGIC,
+};
 pub use leaf::LeafView;
 pub use leaf_writer::{LeafRounding, LeafWriter, SurfelFields};
 pub use lobe::{LOBES_MAX, Lobe};
@@ -28,7 +30,9 @@ pub use page::{
     SURFEL_PAGE_FIXED_BYTES, SURFEL_PAGE_HEADER_BYTES, SurfelPage, finish_node_page,
     finish_surfel_page,
 };
-pub use page_table::{PAGE_ALIGNMENT, PAGE_ENTRY_BYTES, PageEntry, PageId, page_checksum};
+pub use page_table::{
+    PAGE_ALIGNMENT, PAGE_ENTRY_BYTES, PageChecksum, PageEntry, PageId, page_checksum,
+};
 pub use surfel::{LeafSurfel, SurfelLayout};
 
 /// Why bytes are not a valid octree file.

@@ -54,6 +54,13 @@ impl MiniFloat {
         if code == 0 { 0.0 } else { f32::from_bits(bits) }
     }
 
+    /// What all numbers are below: 2^`exponent_max`.
+    #[must_use]
+    #[inline(always)]
+    pub fn limit(self) -> f32 {
+        f32::from_bits(((self.exponent_max + 127) as u32) << 23)
+    }
+
     /// Whether every code of this codec is a finite normal number.
     #[must_use]
     pub fn is_valid(self) -> bool {

@@ -1,7 +1,10 @@
 //! Pages: node pages hold groups, surfel pages the surfels of their leaves.
 
 use crate::bits::SLACK_BYTES;
-use crate::{FormatError, LeafView, PageId, SurfelLayout, read_u32};
+use crate::{
+    COORDINATE_MAX, Channels, ChildLink, FormatError, GroupFields, GroupView, LeafView, PageId,
+    SurfelLayout, read_u32,
+};
 use pbgi_math::Aabb;
 
 /// What a page holds.
@@ -116,6 +119,85 @@ impl<'a> NodePage<'a> {
         Ok(Self { bytes, own, links_offset, link_count })
     }
 
+    /// Checks what keeps a walk from going on for ever: that the groups lie without gaps, and that each link within the page leads to a
+    /// later group, and no two links to one. Also that boxes are numbers that can be reckoned with. One pass over the page.
+    ///
+    /// # Errors
+    ///
+    /// Names the first place where it is otherwise.
+    pub fn check_links(&self, channels: Channels) -> Result<(), FormatError> {
+        let end = self.groups_end();
+        let (mut offset, mut count) = (NODE_PAGE_HEADER_BYTES, 0u32);
+        let mut links_used = vec![false; self.link_count as usize];
+        // A bit for each place where a group may start, set where a link leads to it.
+        let mut linked = vec![0u64; end.div_ceil(4 * 64)];
+        let mut linked_count = 0u32;
+        while offset < end {
+            let group = GroupView::new(self.bytes, end, offset as u32, channels)?;
+            let bit = |at: usize| (at / 256, 1u64 << (at / 4 % 64));
+            let (word, mask) = bit(offset);
+            if linked[word] & mask != 0 {
+                linked[word] &= !mask;
+                linked_count -= 1;
+            }
+            let fields = group.fields();
+            check_box(&fields)?;
+            let octants = (0..8).filter(|octant| fields.octants & (1 << octant) != 0);
+            for (index, octant) in octants.enumerate() {
+                match group.link(index, fields.leaves & (1 << octant) != 0) {
+                    ChildLink::Leaf { .. } => {}
+                    ChildLink::External(link) => match links_used.get_mut(link as usize) {
+                        Some(used) if !*used => *used = true,
+                        _ => {
+                            let expected = "an external link that is used once";
+                            return Err(FormatError::new("link: index", link, expected));
+                        }
+                    },
+                    ChildLink::Group(next) => {
+                        let at = next as usize;
+                        if at <= offset || at >= end || !at.is_multiple_of(4) {
+                            return Err(FormatError::new("link: offset", next, "a later group"));
+                        }
+                        let (word, mask) = bit(at);
+                        if linked[word] & mask != 0 {
+                            let expected = "a group that is linked once";
+                            return Err(FormatError::new("link: offset", next, expected));
+                        }
+                        linked[word] |= mask;
+                        linked_count += 1;
+                    }
+                }
+            }
+            offset += group.stored_bytes();
+            count += 1;
+        }
+        if linked_count > 0 {
+            return Err(FormatError::new("link: offset", linked_count, "only links to groups"));
+        }
+        let stated = read_u32(self.bytes, 4);
+        if count != stated {
+            return Err(FormatError::new("node page: groups", stated, count));
+        }
+        self.check_external_links()
+    }
+
+    /// No two external links lead to one group.
+    fn check_external_links(&self) -> Result<(), FormatError> {
+        let place = |index: u32| {
+            let at = self.links_offset as usize + 8 * index as usize;
+            (read_u32(self.bytes, at), read_u32(self.bytes, at + 4))
+        };
+        let mut places: Vec<(u32, u32)> = (0..self.link_count).map(place).collect();
+        places.sort_unstable();
+        match places.windows(2).find(|pair| pair[0] == pair[1]) {
+            Some(pair) => {
+                let expected = "a group that is linked once";
+                Err(FormatError::new("link: offset", pair[0].1, expected))
+            }
+            None => Ok(()),
+        }
+    }
+
     /// The whole page.
     #[must_use]
     #[inline(always)]
@@ -157,6 +239,17 @@ impl<'a> NodePage<'a> {
         let page = self.pages_back(read_u32(self.bytes, at))?;
         Some(ExternalLink { page, offset: read_u32(self.bytes, at + 4) })
     }
+}
+
+/// Refuses boxes that are none, or whose sizes cannot be squared.
+fn check_box(fields: &GroupFields) -> Result<(), FormatError> {
+    let Aabb { min, max } = fields.bounds;
+    let largest = min.abs().max(max.abs()).max_element();
+    if !(largest <= COORDINATE_MAX && fields.cover_margin <= 4.0 * COORDINATE_MAX) {
+        let expected = format_args!("within {COORDINATE_MAX}");
+        return Err(FormatError::new("group: box", "a number out of range", expected));
+    }
+    Ok(())
 }
 
 /// A decoded surfel page.
@@ -210,6 +303,8 @@ impl<'a> SurfelPage<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{ChildBox, Lobe, MiniFloat};
+    use pbgi_math::Vec3;
 
     #[test]
     fn node_pages_round_trip_and_refuse_bad_links() {
@@ -231,6 +326,57 @@ mod tests {
         assert_eq!(NodePage::new(&page, PageId(2)).unwrap().external_link(0), None);
         let moved = NodePage::new(&page, PageId(9)).unwrap();
         assert_eq!(moved.fields().surfel_page, Some(PageId(0)));
+    }
+
+    /// A page of groups whose two children are as given, offsets counted in groups.
+    fn page_of(groups: &[[ChildLink; 2]], links: &[ExternalLink]) -> Vec<u8> {
+        let size = crate::group_bytes(2, 2, Channels::Occlusion) as u32;
+        let bounds = Aabb { min: Vec3::ZERO, max: Vec3::ONE };
+        let mut page = vec![0; NODE_PAGE_HEADER_BYTES];
+        for children in groups {
+            let is_leaf = |link: &ChildLink| u8::from(matches!(link, ChildLink::Leaf { .. }));
+            let leaves = is_leaf(&children[0]) | is_leaf(&children[1]) << 1;
+            let (split, cover_margin) = (Vec3::splat(0.5), 0.0);
+            let fields = GroupFields { bounds, split, cover_margin, octants: 3, leaves };
+            let place = |link: ChildLink| match link {
+                ChildLink::Group(n) => ChildLink::Group(NODE_PAGE_HEADER_BYTES as u32 + n * size),
+                link => link,
+            };
+            let lobe = [Lobe::default()];
+            let child_box = ChildBox { min: [0; 3], max: [255; 3] };
+            let children = children.map(|link| (place(link), child_box, &lobe[..]));
+            let codecs = (Channels::Occlusion, MiniFloat { exponent_max: 0 }, 1.0);
+            crate::write_group(&fields, &children, codecs, &mut page);
+        }
+        let group_count = groups.len() as u32;
+        let fields = NodePageFields { group_count, surfel_page: Some(PageId(0)) };
+        finish_node_page(&mut page, PageId(9), fields, links);
+        page
+    }
+
+    #[test]
+    fn links_that_form_no_tree_are_refused() {
+        use ChildLink::{External, Group};
+        let leaf = ChildLink::Leaf { offset: 16, count: 1 };
+        let check = |groups: &[[ChildLink; 2]], links: &[ExternalLink]| {
+            let page = page_of(groups, links);
+            NodePage::new(&page, PageId(9)).unwrap().check_links(Channels::Occlusion)
+        };
+        let far = |page| ExternalLink { page: PageId(page), offset: 32 };
+        check(&[[Group(1), Group(2)], [leaf, leaf], [leaf, External(0)]], &[far(3)]).unwrap();
+        check(&[[leaf, External(1)], [leaf, External(0)]], &[far(3), far(4)]).unwrap();
+        for (bad, links) in [
+            (vec![[Group(1), Group(1)], [leaf, leaf]], vec![]),
+            (vec![[Group(1), Group(2)], [Group(2), leaf], [leaf, leaf]], vec![]),
+            (vec![[Group(1), leaf], [Group(0), leaf]], vec![]),
+            (vec![[Group(0), leaf]], vec![]),
+            (vec![[Group(1), leaf]], vec![]),
+            (vec![[External(0), External(0)]], vec![far(3), far(4)]),
+            (vec![[External(1), leaf]], vec![far(3)]),
+            (vec![[External(0), External(1)]], vec![far(3), far(3)]),
+        ] {
+            assert!(check(&bad, &links).is_err(), "{bad:?} {links:?}");
+        }
     }
 
     #[test]

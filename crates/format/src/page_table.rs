@@ -84,6 +84,23 @@ impl PageEntry {
     }
 }
 
+/// [`page_checksum`] of bytes that come in parts.
+#[derive(Default)]
+pub struct PageChecksum(xxhash_rust::xxh3::Xxh3Default);
+
+impl PageChecksum {
+    /// Goes on with the next bytes.
+    pub fn update(&mut self, bytes: &[u8]) {
+        self.0.update(bytes);
+    }
+
+    /// The checksum of all bytes so far.
+    #[must_use]
+    pub fn finish(&self) -> u64 {
+        self.0.digest()
+    }
+}
+
 /// Checksum of a page's stored bytes, and of the page table's.
 #[must_use]
 pub fn page_checksum(bytes: &[u8]) -> u64 {
@@ -93,6 +110,15 @@ pub fn page_checksum(bytes: &[u8]) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn parts_have_the_checksum_of_the_whole() {
+        let bytes: Vec<u8> = (0..5000u32).map(|i| ((i * i) >> 3) as u8).collect();
+        let mut sum = PageChecksum::default();
+        bytes.chunks(700).for_each(|part| sum.update(part));
+        assert_eq!(sum.finish(), page_checksum(&bytes));
+        assert_eq!(PageChecksum::default().finish(), page_checksum(&[]));
+    }
 
     #[test]
     fn entries_round_trip_and_refuse_nonsense() {

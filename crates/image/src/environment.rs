@@ -1,9 +1,10 @@
 //! Reading of environments: EXR or Radiance HDR, brought to linear Rec. 709 and checked pixel by pixel.
 
-use crate::{Chromaticities, Image, ImageError, ImageWindow, RgbImage, hdr, read_exr};
+use crate::exr_read::read_exr_within;
+use crate::{Chromaticities, Image, ImageError, ImageWindow, RgbImage, hdr};
+use pbgi_file::{Allowance, open_input};
 use pbgi_math::{DVec3, luminance};
 use std::collections::BTreeMap;
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
@@ -17,6 +18,9 @@ const NEGATIVE_SHARE_OF_MAX: f32 = 1e-3;
 const NEGATIVE_SHARE_OF_SUM: f64 = 0.01;
 /// Names of the layer that is the picture itself, in lower case, the likeliest first.
 const PICTURE_LAYERS: [&str; 5] = ["combined", "beauty", "rgba", "ci", "rgb"];
+
+/// Bytes of a color.
+pub(crate) const COLOR_BYTES: u64 = size_of::<[f32; 3]>() as u64;
 
 /// An environment as it was read.
 #[derive(Clone, Debug, Default)]
@@ -49,15 +53,28 @@ pub fn read_environment(path: &Path) -> Result<RgbImage, ImageError> {
 /// layers none of which is the picture by its name; [`ImageError::BadPixel`] for the first pixel that is far below 0, infinite or
 /// not a number.
 pub fn read_environment_noting(path: &Path) -> Result<ReadEnvironment, ImageError> {
+    read_environment_noting_within(path, &Allowance::unlimited())
+}
+
+/// As [`read_environment_noting`], within an allowance of memory, with which the size in the header is compared before a pixel is read.
+///
+/// # Errors
+///
+/// Those of [`read_environment_noting`]; an [`Excess`](pbgi_file::Excess) as cause where the allowance does not do.
+pub fn read_environment_noting_within(
+    path: &Path,
+    allowance: &Allowance,
+) -> Result<ReadEnvironment, ImageError> {
     let mut warnings = Vec::new();
     let (image, chromaticities) = match read_magic(path)?.as_slice() {
         [0x76, 0x2f, 0x31, 0x01] => {
-            let (image, metadata) = read_exr(path)?;
+            // The picture as colors takes no more than the samples, which are gone by then.
+            let (image, metadata) = read_exr_within(path, allowance, COLOR_BYTES)?;
             let image = to_rgb(path, &image, &mut warnings)?;
-            (uncrop(path, image, &metadata.window)?, metadata.chromaticities)
+            (uncrop(path, image, &metadata.window, allowance)?, metadata.chromaticities)
         }
         [b'#', b'?', ..] => {
-            let picture = hdr::read(path)?;
+            let picture = hdr::read(path, allowance)?;
             warnings.extend(picture.warnings);
             (picture.image, picture.chromaticities)
         }
@@ -73,12 +90,12 @@ pub fn read_environment_noting(path: &Path) -> Result<ReadEnvironment, ImageErro
 ///
 /// [`ImageError::Malformed`] for anything damaged; [`ImageError::BadPixel`].
 pub fn read_hdr(path: &Path) -> Result<RgbImage, ImageError> {
-    let picture = hdr::read(path)?;
+    let picture = hdr::read(path, &Allowance::unlimited())?;
     finish(path, picture.image, picture.chromaticities, Vec::new()).map(|read| read.image)
 }
 
 fn read_magic(path: &Path) -> Result<Vec<u8>, ImageError> {
-    let file = File::open(path).map_err(|e| ImageError::io(path, "open", e))?;
+    let file = open_input(path).map_err(|e| ImageError::io(path, "open", e))?;
     let mut magic = Vec::new();
     file.take(4).read_to_end(&mut magic).map_err(|e| ImageError::io(path, "read", e))?;
     Ok(magic)
@@ -165,7 +182,12 @@ fn to_rgb(path: &Path, image: &Image, warnings: &mut Vec<String>) -> Result<RgbI
 }
 
 /// The picture: the display window, black where nothing is stored.
-fn uncrop(path: &Path, image: RgbImage, window: &ImageWindow) -> Result<RgbImage, ImageError> {
+fn uncrop(
+    path: &Path,
+    image: RgbImage,
+    window: &ImageWindow,
+    allowance: &Allowance,
+) -> Result<RgbImage, ImageError> {
     let [width, height] = window.display_size;
     // Where the stored pixels begin in the picture.
     let [x, y] =
@@ -192,6 +214,8 @@ fn uncrop(path: &Path, image: RgbImage, window: &ImageWindow) -> Result<RgbImage
         let message = "its stored pixels (data window) lie outside of the picture (display window); it shows nothing";
         return Err(ImageError::malformed(path, message));
     };
+    let needed = COLOR_BYTES.saturating_mul((pixel_count + image.pixels.len()) as u64);
+    allowance.check(needed).map_err(|e| ImageError::io(path, "read", e))?;
     let mut pixels = vec![[0.0; 3]; pixel_count];
     for row in top..top + rows {
         let from = (row as i64 - y) as usize * image.width + (left as i64 - x) as usize;
@@ -390,7 +414,9 @@ mod tests {
     fn pictures_far_larger_than_what_is_stored_are_refused() {
         let window = ImageWindow { display_size: [1 << 30, 1 << 29], ..ImageWindow::default() };
         let image = RgbImage { width: 2, height: 1, pixels: vec![[1.0; 3]; 2] };
-        let message = uncrop(Path::new("a.exr"), image, &window).unwrap_err().to_string();
+        let message = uncrop(Path::new("a.exr"), image, &window, &Allowance::unlimited())
+            .unwrap_err()
+            .to_string();
         assert!(message.contains("--croptofull"), "{message}");
     }
 

@@ -9,8 +9,9 @@ use exr::block::reader::Reader;
 use exr::compression::Compression;
 use exr::image::{AnyChannels, FlatSamples, Layer};
 use exr::meta::attribute::{AttributeValue as ExrValue, Text};
-use exr::meta::header::Header;
+use exr::meta::header::{Header, LayerAttributes};
 use exr::prelude::{ReadChannels, ReadLayers};
+use pbgi_file::{Allowance, open_input};
 use pbgi_math::Mat4;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
@@ -32,7 +33,18 @@ const DWA_EXPANSION_MAX: u64 = 64;
 /// [`ImageError::Malformed`] for anything truncated, damaged or larger than its file can hold;
 /// [`ImageError::Unsupported`] for deep or subsampled data, with the command that converts the file.
 pub fn read_exr(path: &Path) -> Result<(Image, Metadata), ImageError> {
-    read_stored_exr(path).map(|(stored, metadata)| (stored.into(), metadata))
+    read_exr_within(path, &Allowance::unlimited(), 0)
+}
+
+/// As [`read_exr`], where the decoded samples, the same as floats, and so many bytes per pixel beside the floats must be allowed.
+pub(crate) fn read_exr_within(
+    path: &Path,
+    allowance: &Allowance,
+    beside_bytes: u64,
+) -> Result<(Image, Metadata), ImageError> {
+    let beside = |channels: u64| (4 * channels).max(beside_bytes);
+    let (stored, metadata) = read_samples(path, allowance, beside)?;
+    Ok((stored.into(), metadata))
 }
 
 /// As [`read_exr`], with all samples as they are stored.
@@ -41,14 +53,88 @@ pub fn read_exr(path: &Path) -> Result<(Image, Metadata), ImageError> {
 ///
 /// Those of [`read_exr`].
 pub fn read_stored_exr(path: &Path) -> Result<(StoredImage, Metadata), ImageError> {
+    read_samples(path, &Allowance::unlimited(), |_| 0)
+}
+
+/// As [`read_stored_exr`], where the decoded samples and so many bytes per pixel beside them must be allowed, with which the sizes in the
+/// header are compared before a pixel is read.
+///
+/// # Errors
+///
+/// Those of [`read_exr`]; an [`Excess`](pbgi_file::Excess) as cause where the allowance does not do.
+pub fn read_stored_exr_within(
+    path: &Path,
+    allowance: &Allowance,
+    beside_bytes: u64,
+) -> Result<(StoredImage, Metadata), ImageError> {
+    read_samples(path, allowance, |_| beside_bytes)
+}
+
+/// Reads the attributes alone of a file, as [`read_exr`] gives them.
+///
+/// # Errors
+///
+/// Those of [`read_exr`], as far as headers tell.
+pub fn read_exr_metadata(path: &Path) -> Result<Metadata, ImageError> {
+    let (reader, _) = open(path)?;
+    match reader.headers().first() {
+        Some(first) => Ok(metadata_of(first)),
+        None => Err(ImageError::malformed(path, "no part found, expected one at least")),
+    }
+}
+
+/// What window and attributes of the first part say.
+fn metadata_of(first: &Header) -> Metadata {
+    let (own, shared) = (&first.own_attributes, &first.shared_attributes);
+    let position = own.layer_position;
+    let mut attributes = collect_attributes(own);
+    attributes.extend(shared.other.iter().filter_map(convert));
+    attributes.sort_by(|a, b| a.0.cmp(&b.0));
+    Metadata {
+        window: ImageWindow {
+            data_origin: [position.0, position.1],
+            display_origin: [shared.display_window.position.0, shared.display_window.position.1],
+            display_size: [shared.display_window.size.0, shared.display_window.size.1],
+        },
+        attributes,
+        chromaticities: shared.chromaticities.map(|c| Chromaticities {
+            primaries: [c.red, c.green, c.blue].map(|v| [v.0, v.1]),
+            white: [c.white.0, c.white.1],
+        }),
+        parts_left_out: Vec::new(),
+    }
+}
+
+type FileReader = Reader<BufReader<File>>;
+
+/// Reads the headers, and the length of the file.
+fn open(path: &Path) -> Result<(FileReader, u64), ImageError> {
     let io = |action| move |e| ImageError::io(path, action, e);
-    let file = File::open(path).map_err(io("open"))?;
+    let file = open_input(path).map_err(io("open"))?;
     let file_bytes = file.metadata().map_err(io("read the size of"))?.len();
     catch_decoder_panic(path, || {
         let reader = exr::block::read(BufReader::new(file), false).map_err(from_exr(path))?;
-        check_headers(path, reader.headers(), file_bytes)?;
-        decode(path, reader)
+        Ok((reader, file_bytes))
     })
+}
+
+/// Reads all samples; `beside_bytes` tells of so many channels what a pixel takes beside them.
+fn read_samples(
+    path: &Path,
+    allowance: &Allowance,
+    beside_bytes: impl Fn(u64) -> u64,
+) -> Result<(StoredImage, Metadata), ImageError> {
+    let (reader, file_bytes) = open(path)?;
+    let claimed_bytes = check_headers(path, reader.headers(), file_bytes)?;
+    let beside = |header: &Header| {
+        let pixels = header.layer_size.width() as u64 * header.layer_size.height() as u64;
+        pixels.saturating_mul(beside_bytes(header.channels.list.len() as u64))
+    };
+    let needed = reader.headers().iter().map(beside).fold(claimed_bytes, u64::saturating_add);
+    // Blocks on their way, and the table of their offsets.
+    let needed = needed.saturating_add(needed / 16);
+    allowance.check(needed).map_err(|e| ImageError::io(path, "read", e))?;
+    catch_decoder_panic(path, || decode(path, reader))
 }
 
 fn from_exr(path: &Path) -> impl Fn(exr::error::Error) -> ImageError + '_ {
@@ -71,8 +157,8 @@ fn from_exr(path: &Path) -> impl Fn(exr::error::Error) -> ImageError + '_ {
 const FLATTEN: &str = "flatten it with: oiiotool in.exr --flatten --compression zip -o out.exr";
 const CONVERT: &str = "convert it with: oiiotool in.exr --compression zip -o out.exr";
 
-/// Refuses what is not read here, and sizes that the file cannot hold, before they are allocated.
-fn check_headers(path: &Path, headers: &[Header], file_bytes: u64) -> Result<(), ImageError> {
+/// Bytes of all samples. Refuses what is not read here, and sizes that the file cannot hold, before they are allocated.
+fn check_headers(path: &Path, headers: &[Header], file_bytes: u64) -> Result<u64, ImageError> {
     let (mut claimed_bytes, mut inflated_bytes) = (0u64, 0u64);
     let mut chunk_count = 0u64;
     for header in headers {
@@ -108,7 +194,7 @@ fn check_headers(path: &Path, headers: &[Header], file_bytes: u64) -> Result<(),
             ),
         ));
     }
-    Ok(())
+    Ok(claimed_bytes)
 }
 
 fn decode<R: Read + Seek>(
@@ -116,6 +202,7 @@ fn decode<R: Read + Seek>(
     reader: Reader<R>,
 ) -> Result<(StoredImage, Metadata), ImageError> {
     // On this thread only: a panic of the decoder on a pool thread would end the process.
+    let metadata = reader.headers().first().map(metadata_of);
     let decoded = exr::prelude::read()
         .no_deep_data()
         .largest_resolution_level()
@@ -125,27 +212,11 @@ fn decode<R: Read + Seek>(
         .non_parallel()
         .from_chunks(reader)
         .map_err(from_exr(path))?;
-    let shared = decoded.attributes;
     let parts = decoded.layer_data;
-    let Some(first) = parts.first() else {
+    let (Some(first), Some(mut metadata)) = (parts.first(), metadata) else {
         return Err(ImageError::malformed(path, "no part found, expected one at least"));
     };
     let (size, position) = (first.size, first.attributes.layer_position);
-    let mut metadata = Metadata {
-        window: ImageWindow {
-            data_origin: [position.0, position.1],
-            display_origin: [shared.display_window.position.0, shared.display_window.position.1],
-            display_size: [shared.display_window.size.0, shared.display_window.size.1],
-        },
-        attributes: collect_attributes(first),
-        chromaticities: shared.chromaticities.map(|c| Chromaticities {
-            primaries: [c.red, c.green, c.blue].map(|v| [v.0, v.1]),
-            white: [c.white.0, c.white.1],
-        }),
-        parts_left_out: Vec::new(),
-    };
-    metadata.attributes.extend(shared.other.iter().filter_map(convert));
-    metadata.attributes.sort_by(|a, b| a.0.cmp(&b.0));
     let (width, height) = (size.width(), size.height());
     let mut image = StoredImage { width, height, channels: Vec::new() };
     let several = parts.len() > 1;
@@ -180,8 +251,7 @@ fn append_channels(image: &mut StoredImage, part: Layer<AnyChannels<FlatSamples>
     }
 }
 
-fn collect_attributes(part: &Layer<AnyChannels<FlatSamples>>) -> Vec<(String, AttributeValue)> {
-    let own = &part.attributes;
+fn collect_attributes(own: &LayerAttributes) -> Vec<(String, AttributeValue)> {
     let texts = [
         ("software", &own.software_name),
         ("comments", &own.comments),
@@ -302,7 +372,7 @@ mod tests {
                     .into_iter()
                     .collect(),
             );
-            let attributes = ex::LayerAttributes::named(name);
+            let attributes = LayerAttributes::named(name);
             Layer::new((size, size), attributes, ex::Encoding::FAST_LOSSLESS, channels)
         };
         let parts =
@@ -347,7 +417,7 @@ mod tests {
             let list = list.map(|(k, name)| ex::AnyChannel::new(*name, samples(k)));
             let channels = AnyChannels::sort(list.collect());
             let encoding = ex::Encoding { compression, ..ex::Encoding::FAST_LOSSLESS };
-            let layer = Layer::new((64, 64), ex::LayerAttributes::named("a"), encoding, channels);
+            let layer = Layer::new((64, 64), LayerAttributes::named("a"), encoding, channels);
             exr::image::Image::from_layer(layer).write().to_file(&path).unwrap();
             let (image, _) = read_exr(&path).unwrap();
             let red = image.channel("R").unwrap();

@@ -1,9 +1,10 @@
 //! Reading of Radiance HDR files: their header here, their pixels by the `image` crate.
 
+use crate::environment::COLOR_BYTES;
 use crate::error::catch_decoder_panic;
 use crate::{Chromaticities, ImageError, RgbImage};
 use ::image::{DynamicImage, ImageDecoder, codecs::hdr::HdrDecoder};
-use std::fs::File;
+use pbgi_file::{Allowance, open_input};
 use std::io::{BufRead, BufReader, Cursor, Read};
 use std::path::Path;
 
@@ -47,8 +48,8 @@ struct Scan {
     height: usize,
 }
 
-pub(crate) fn read(path: &Path) -> Result<HdrPicture, ImageError> {
-    let file = File::open(path).map_err(|e| ImageError::io(path, "open", e))?;
+pub(crate) fn read(path: &Path, allowance: &Allowance) -> Result<HdrPicture, ImageError> {
+    let file = open_input(path).map_err(|e| ImageError::io(path, "open", e))?;
     let file_bytes =
         file.metadata().map_err(|e| ImageError::io(path, "read the size of", e))?.len();
     let mut reader = BufReader::new(file);
@@ -64,6 +65,8 @@ pub(crate) fn read(path: &Path) -> Result<HdrPicture, ImageError> {
         );
         return Err(ImageError::malformed(path, message));
     }
+    let needed = pixel_count.saturating_mul(2 * COLOR_BYTES);
+    allowance.check(needed).map_err(|e| ImageError::io(path, "read", e))?;
     let (lines, length) = if is_upright { (width, height) } else { (height, width) };
     let stored = decode_pixels(path, reader, lines, length)?;
     let pixels = header.scan.upright(stored);
@@ -247,7 +250,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.hdr");
         std::fs::write(&path, bytes).unwrap();
-        read(&path)
+        read(&path, &Allowance::unlimited())
     }
 
     fn reds(bytes: &[u8]) -> Vec<f32> {

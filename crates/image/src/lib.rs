@@ -26,9 +26,12 @@ pub use aov::{Aov, AovNames, AovPreset};
 pub use atomic::write_atomically;
 pub use chromaticities::Chromaticities;
 pub use contact_sheet::{Tile, write_contact_sheet};
-pub use environment::{ReadEnvironment, read_environment, read_environment_noting, read_hdr};
+pub use environment::{
+    ReadEnvironment, read_environment, read_environment_noting, read_environment_noting_within,
+    read_hdr,
+};
 pub use error::ImageError;
-pub use exr_read::{read_exr, read_stored_exr};
+pub use exr_read::{read_exr, read_exr_metadata, read_stored_exr, read_stored_exr_within};
 pub use exr_write::{LAYOUT_ATTRIBUTES, write_environment_exr, write_exr, write_windowed_exr};
 pub use metrics::{ErrorMetrics, MetricsError, compare, squared_errors};
 pub use png::write_png;

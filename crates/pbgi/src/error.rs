@@ -1,5 +1,6 @@
 //! Why a run ends, and the exit code that says so.
 
+use crate::budget::reading::excess_of;
 use pbgi_build::BuildError;
 use pbgi_cloud::CloudError;
 use pbgi_image::{ImageError, MetricsError};
@@ -142,7 +143,7 @@ impl PbgiError {
     /// disk or budget, 130 interrupted.
     #[must_use]
     pub fn exit_code(&self) -> u8 {
-        if is_disk_full(self) {
+        if is_disk_full(self) || excess_of(self).is_some() {
             return EXIT_RESOURCES;
         }
         match self {

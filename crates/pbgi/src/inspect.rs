@@ -1,6 +1,7 @@
 //! What an octree file holds: its header, its pages counted.
 
 use crate::PbgiError;
+use crate::budget::bake::reader_cache_bytes;
 use crate::cli::format_table;
 use crate::cli::progress::format_bytes;
 use pbgi_format::{Channels, FORMAT_VERSION, Lobe, PageKind};
@@ -70,9 +71,8 @@ impl OctreeInfo {
     /// # Errors
     ///
     /// If the file cannot be read, or its header or page table is damaged.
-    pub fn read(path: &Path) -> Result<Self, PbgiError> {
-        // Nothing is paged in here, so that the budget is never used.
-        let octree = open(path, u64::MAX)?;
+    pub fn read(path: &Path, memory_limit: u64) -> Result<Self, PbgiError> {
+        let octree = open(path, reader_cache_bytes(memory_limit))?;
         let header = octree.header();
         let world = |p: pbgi_math::Vec3| (p.as_dvec3() + header.origin).to_array();
         let table_bytes = header.page_count * pbgi_format::PAGE_ENTRY_BYTES as u64;
@@ -200,11 +200,13 @@ impl OctreeCheck {
         path: &Path,
         backend: Backend,
         threads: usize,
+        memory_limit: u64,
         tick: impl FnMut(u64),
     ) -> Result<Self, PbgiError> {
         let start = Instant::now();
-        // Pages go past the cache.
-        let options = OpenOptions { backend, cache_bytes: u64::MAX, ..OpenOptions::default() };
+        // Pages go past the cache, but they take as much.
+        let cache_bytes = reader_cache_bytes(memory_limit);
+        let options = OpenOptions { backend, cache_bytes, ..OpenOptions::default() };
         let octree = Octree::open(path, &options)?;
         let report = octree.verify(threads, tick)?;
         Ok(Self::new(&octree, &report, start.elapsed().as_secs_f64()))

@@ -18,6 +18,7 @@ mod read_gltf;
 mod read_obj;
 mod read_ply_mesh;
 mod read_scene;
+mod resources;
 mod texture;
 
 pub use camera::{CameraView, Frustum};
@@ -30,5 +31,5 @@ pub use hide::{
 pub use light::PunctualLight;
 pub use model::{Camera, Instance, Material, Mesh, Scene};
 pub use procedural::{ProceduralError, ProceduralScene, ProceduralSpec, procedural_scene};
-pub use read_scene::read_scene;
+pub use read_scene::{read_scene, read_scene_within};
 pub use texture::{Texture, Wrap};

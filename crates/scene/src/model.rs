@@ -2,6 +2,7 @@
 
 use crate::{PunctualLight, Texture};
 use pbgi_math::{Aabb, Affine3A, Vec2, Vec3};
+use std::path::PathBuf;
 
 /// A triangle mesh with one material.
 #[derive(Clone, Debug, Default)]
@@ -137,6 +138,8 @@ pub struct Scene {
     pub lights: Vec<PunctualLight>,
     /// What was left out or read differently than the file says, one sentence each.
     pub warnings: Vec<String>,
+    /// Files it refers to that were read.
+    pub files: Vec<PathBuf>,
 }
 
 impl Scene {

@@ -3,17 +3,26 @@
 mod mtl;
 
 use crate::polygon::Triangulator;
+use crate::resources::Resources;
 use crate::texture::display_to_linear;
 use crate::{Instance, Material, Mesh, Scene, SceneError};
 use pbgi_cloud::parse_number;
+use pbgi_file::open_input;
 use pbgi_math::{Affine3A, Vec2, Vec3};
 use std::collections::{BTreeMap, HashMap};
-use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
 /// Longest line in bytes.
 const LINE_BYTES_MAX: u64 = 1 << 20;
+
+/// Lines after which it is seen how much memory is held.
+const LINES_BETWEEN_CHECKS: u64 = 4096;
+
+/// Bytes of a place, a color or a normal, and of a corner: while it is read, its number is looked up in a table half full, and then it
+/// becomes a vertex.
+const VERTEX_BYTES: usize = size_of::<Vec3>();
+const CORNER_BYTES: usize = 3 * size_of::<Corner>() + 4 * VERTEX_BYTES;
 
 /// Keywords that say nothing about shape or light, or belong to lines that are left out.
 const SILENT_KEYWORDS: [&str; 33] = [
@@ -55,12 +64,21 @@ const SILENT_KEYWORDS: [&str; 33] = [
 /// Reads an OBJ file: one mesh and one instance per material, or more where some of its faces lack texture coordinates or normals.
 /// Polygons are cut into triangles; lines, points, curves and smoothing groups are left out. Vertex colors after the position are
 /// those of a display. A missing MTL file or material is a warning.
-pub(crate) fn read_obj(path: &Path) -> Result<Scene, SceneError> {
+pub(crate) fn read_obj(path: &Path, resources: &Resources) -> Result<Scene, SceneError> {
     let mut obj = Obj::default();
     read_lines(path, |number, keyword, rest| {
-        obj.read_line(path, keyword, rest)
-            .map_err(|message| SceneError::malformed(path, format!("line {number}: {message}")))
+        let read = obj.read_line(path, keyword, rest, resources);
+        read.map_err(|message| SceneError::malformed(path, format!("line {number}: {message}")))?;
+        if let Some(error) = obj.library.failed.take() {
+            return Err(error);
+        }
+        if number.is_multiple_of(LINES_BETWEEN_CHECKS) {
+            obj.take_memory(path, resources)
+        } else {
+            Ok(())
+        }
     })?;
+    obj.take_memory(path, resources)?;
     Ok(obj.into_scene())
 }
 
@@ -70,7 +88,7 @@ fn read_lines(
     path: &Path,
     mut visit: impl FnMut(u64, &str, &str) -> Result<(), SceneError>,
 ) -> Result<(), SceneError> {
-    let file = File::open(path).map_err(|e| SceneError::io(path, "open", e))?;
+    let file = open_input(path).map_err(|e| SceneError::io(path, "open", e))?;
     let mut reader = BufReader::new(file);
     let (mut line, mut number) = (Vec::new(), 0);
     loop {
@@ -155,6 +173,8 @@ struct Obj {
     bad_uvs: u64,
     missing_normals: u64,
     ignored: BTreeMap<&'static str, u64>,
+    /// Bytes taken of the scene's memory.
+    taken_bytes: u64,
     unknown: BTreeMap<String, u64>,
 }
 
@@ -162,7 +182,27 @@ struct Obj {
 const UNKNOWN_MAX: usize = 20;
 
 impl Obj {
-    fn read_line(&mut self, path: &Path, keyword: &str, rest: &str) -> Result<(), String> {
+    /// Takes what has come to be held since it was last called.
+    fn take_memory(&mut self, path: &Path, resources: &Resources) -> Result<(), SceneError> {
+        let corners: usize = self.parts.iter().map(|(_, part)| part.corners.len()).sum();
+        let triangles: usize = self.parts.iter().map(|(_, part)| part.triangles.len()).sum();
+        let places = self.positions.len() + self.colors.len() + self.normals.len();
+        let held = (places * VERTEX_BYTES
+            + self.uvs.len() * size_of::<Vec2>()
+            + corners * CORNER_BYTES
+            + triangles * 2 * size_of::<[u32; 3]>()) as u64;
+        let more = held - self.taken_bytes;
+        self.taken_bytes = held;
+        resources.take(path, more)
+    }
+
+    fn read_line(
+        &mut self,
+        path: &Path,
+        keyword: &str,
+        rest: &str,
+        resources: &Resources,
+    ) -> Result<(), String> {
         match keyword {
             "v" => self.read_position(rest)?,
             "vt" => {
@@ -179,7 +219,7 @@ impl Obj {
             }
             "f" | "fo" => self.read_face(rest)?,
             "usemtl" => self.material = Some(rest.to_owned()),
-            "mtllib" => self.library.read(path, rest),
+            "mtllib" => self.library.read(path, rest, resources),
             "l" => *self.ignored.entry("lines").or_default() += 1,
             "p" => *self.ignored.entry("points").or_default() += 1,
             "curv" | "curv2" | "surf" => {
@@ -447,12 +487,16 @@ fn read_corner(word: &str, counts: [usize; 3]) -> Result<(Corner, [bool; 2]), St
 mod tests {
     use super::*;
 
+    fn read_freely(path: &Path) -> Result<Scene, SceneError> {
+        read_obj(path, &Resources::new(&pbgi_file::Allowance::unlimited()))
+    }
+
     fn read(obj: &str, mtl: &str) -> Result<Scene, SceneError> {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("a b.mtl"), mtl).unwrap();
         let path = folder.path().join("mesh.obj");
         std::fs::write(&path, obj).unwrap();
-        read_obj(&path)
+        read_freely(&path)
     }
 
     const SQUARE: &str = "mtllib a b.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 1\n\
@@ -559,7 +603,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("wide.obj");
         std::fs::write(&path, b"\xff\xfev\0 \0").unwrap();
-        assert!(read_obj(&path).unwrap_err().to_string().contains("UTF-8"));
+        assert!(read_freely(&path).unwrap_err().to_string().contains("UTF-8"));
     }
 
     #[test]
@@ -608,7 +652,7 @@ mod tests {
         let obj = "mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n\
             usemtl m\nf 1/1 2/2 3/3 4/4\n";
         std::fs::write(&path, obj).unwrap();
-        read_obj(&path).unwrap()
+        read_freely(&path).unwrap()
     }
 
     fn png(width: u32, pixels: &[[u8; 4]]) -> Vec<u8> {
@@ -748,7 +792,7 @@ mod tests {
             let text =
                 format!("mtllib {library}\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl {material}\nf 1 2 3");
             std::fs::write(&path, text).unwrap();
-            assert_eq!(read_obj(&path).unwrap().materials[0].base_color, color, "{library}");
+            assert_eq!(read_freely(&path).unwrap().materials[0].base_color, color, "{library}");
         }
     }
 

@@ -2,9 +2,11 @@
 
 use crate::error::from_cloud_error;
 use crate::polygon::Triangulator;
+use crate::resources::Resources;
 use crate::texture::{display_to_linear, srgb_to_linear};
 use crate::{Instance, Material, Mesh, Scene, SceneError};
 use pbgi_cloud::{PlyElement, PlyKind, PlyReader, PlyRow, PlyType};
+use pbgi_file::open_input;
 use pbgi_math::{Affine3A, Vec3};
 use std::fs::File;
 use std::io::BufReader;
@@ -24,8 +26,11 @@ const UV_NAMES: [&str; 8] = ["s", "t", "u", "v", "texture_u", "texture_v", "texc
 /// gray of that material.
 ///
 /// Memory is bounded by what the file really holds, not by what its header promises.
-pub(crate) fn read_ply_mesh(path: &Path) -> Result<Scene, SceneError> {
-    let header = open(path)?.header().clone();
+pub(crate) fn read_ply_mesh(path: &Path, resources: &Resources) -> Result<Scene, SceneError> {
+    let reader = open(path)?;
+    let header = reader.header().clone();
+    take_memory(path, &reader, resources)?;
+    drop(reader);
     let place = |name: &str| header.elements.iter().position(|e| e.name == name);
     let faces = FACE_ELEMENTS.into_iter().filter_map(place).min();
     let Some(faces) = faces else {
@@ -45,11 +50,23 @@ pub(crate) fn read_ply_mesh(path: &Path) -> Result<Scene, SceneError> {
 }
 
 fn open(path: &Path) -> Result<PlyReader<BufReader<File>>, SceneError> {
-    let file = File::open(path).map_err(|e| SceneError::io(path, "open", e))?;
+    let file = open_input(path).map_err(|e| SceneError::io(path, "open", e))?;
     let mut reader =
         PlyReader::new(BufReader::new(file), path).map_err(|e| from_cloud_error(path, e))?;
     reader.allow_long_rows();
     Ok(reader)
+}
+
+/// Takes memory for the mesh. A face of three indices in its list makes a triangle as large; vertices take no more than in the file. Of a
+/// strip, each index makes a triangle.
+fn take_memory(
+    path: &Path,
+    reader: &PlyReader<BufReader<File>>,
+    resources: &Resources,
+) -> Result<(), SceneError> {
+    let length = std::fs::metadata(path).map_err(|e| SceneError::io(path, "read", e))?.len();
+    let factor = if reader.header().element("tristrips").is_some() { 6 } else { 2 };
+    resources.take(path, length.saturating_mul(factor))
 }
 
 /// A mesh under way.
@@ -307,7 +324,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("mesh.ply");
         std::fs::write(&path, bytes).unwrap();
-        read_ply_mesh(&path)
+        read_ply_mesh(&path, &Resources::new(&pbgi_file::Allowance::unlimited()))
     }
 
     const HEADER: &str = "element vertex 4\nproperty double y\nproperty float x\nproperty uchar red\n\

@@ -3,31 +3,45 @@
 use crate::read_gltf::read_gltf;
 use crate::read_obj::read_obj;
 use crate::read_ply_mesh::read_ply_mesh;
+use crate::resources::Resources;
 use crate::{Scene, SceneError};
+use pbgi_file::Allowance;
 use std::path::Path;
 
 /// Reads a scene file by its extension: glTF 2.0 (`.glb`, `.gltf`), Wavefront OBJ (`.obj`) or a PLY
 /// mesh (`.ply`).
 ///
 /// Every index in the scene points to something, every position is finite. What is left out or read
-/// differently is listed in [`Scene::warnings`].
+/// differently is listed in [`Scene::warnings`]. Files that it refers to may lie anywhere, as studios share textures and libraries; what is
+/// no regular file is not opened.
 ///
 /// # Errors
 ///
 /// If the file cannot be read, is malformed or uses something unsupported; the message names file,
 /// place and cure.
 pub fn read_scene(path: &Path) -> Result<Scene, SceneError> {
+    read_scene_within(path, &Allowance::unlimited())
+}
+
+/// As [`read_scene`], within an allowance of memory: what files hold is counted before it is read.
+///
+/// # Errors
+///
+/// As [`read_scene`]; an [`Excess`](pbgi_file::Excess) as cause where the allowance does not do.
+pub fn read_scene_within(path: &Path, allowance: &Allowance) -> Result<Scene, SceneError> {
+    let resources = Resources::new(allowance);
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
-    match extension.to_ascii_lowercase().as_str() {
-        "glb" | "gltf" => read_gltf(path),
-        "obj" => read_obj(path),
-        "ply" => read_ply_mesh(path),
+    let scene = match extension.to_ascii_lowercase().as_str() {
+        "glb" | "gltf" => read_gltf(path, &resources),
+        "obj" => read_obj(path, &resources),
+        "ply" => read_ply_mesh(path, &resources),
         _ => Err(SceneError::unsupported(
             path,
             format!("a scene file with the extension `{extension}`"),
             "expected .glb, .gltf, .obj or .ply",
         )),
-    }
+    }?;
+    Ok(Scene { files: resources.into_files(), ..scene })
 }
 
 #[cfg(test)]

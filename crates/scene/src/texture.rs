@@ -215,7 +215,11 @@ impl Texture {
     fn pyramid(&self) -> &[Level] {
         self.pyramid.get_or_init(|| {
             let mut levels = Vec::new();
-            let mut finest = self.base.to_linear(self.decoder());
+            if self.base.width == 1 && self.base.height == 1 {
+                return levels;
+            }
+            let mut finest = self.base.halved(self.decoder());
+            levels.push(finest.to_level(self.srgb));
             while finest.width > 1 || finest.height > 1 {
                 finest = finest.halved();
                 levels.push(finest.to_level(self.srgb));
@@ -265,14 +269,13 @@ impl Level {
         ]
     }
 
-    fn to_linear(&self, decoder: &[f32; 256]) -> LinearLevel {
-        let decode = |t: &[u8; 4]| {
-            let [r, g, b, a] = *t;
+    /// The level above, decoded texel by texel: as floats this one would take four times its bytes.
+    fn halved(&self, decoder: &[f32; 256]) -> LinearLevel {
+        halve([self.width, self.height], |index| {
+            let [r, g, b, a] = self.texels[index];
             let color = [r, g, b].map(|c| decoder[usize::from(c)]);
             [color[0], color[1], color[2], f32::from(a) / 255.0]
-        };
-        let texels = self.texels.par_iter().map(decode).collect();
-        LinearLevel { width: self.width, height: self.height, texels }
+        })
     }
 }
 
@@ -334,36 +337,8 @@ struct LinearLevel {
 }
 
 impl LinearLevel {
-    /// The next level: each texel is the exact box average of what it covers, also of odd sizes.
     fn halved(&self) -> Self {
-        let (width, height) = ((self.width / 2).max(1), (self.height / 2).max(1));
-        let texels = (0..width as usize * height as usize)
-            .into_par_iter()
-            .map(|i| {
-                let (x, y) = (i as u32 % width, i as u32 / width);
-                self.box_average(box_taps(x, self.width, width), box_taps(y, self.height, height))
-            })
-            .collect();
-        Self { width, height, texels }
-    }
-
-    fn box_average(&self, columns: [(u32, f32); 3], rows: [(u32, f32); 3]) -> [f32; 4] {
-        let mut weighted = [0.0; 3];
-        let mut plain = [0.0; 3];
-        let mut alpha = 0.0;
-        for (y, wy) in rows {
-            for (x, wx) in columns {
-                let texel = self.texels[y as usize * self.width as usize + x as usize];
-                let weight = wx * wy;
-                alpha += weight * texel[3];
-                for c in 0..3 {
-                    weighted[c] += weight * texel[3] * texel[c];
-                    plain[c] += weight * texel[c];
-                }
-            }
-        }
-        let [r, g, b] = if alpha > 0.0 { weighted.map(|v| v / alpha) } else { plain };
-        [r, g, b, alpha]
+        halve([self.width, self.height], |index| self.texels[index])
     }
 
     fn to_level(&self, srgb: bool) -> Level {
@@ -373,6 +348,44 @@ impl LinearLevel {
         let texels = self.texels.par_iter().map(encode).collect();
         Level { width: self.width, height: self.height, texels }
     }
+}
+
+/// The level above one of this size: each texel is the exact box average of what it covers, also of odd sizes.
+fn halve(
+    [fine_width, fine_height]: [u32; 2],
+    texel: impl Fn(usize) -> [f32; 4] + Sync,
+) -> LinearLevel {
+    let (width, height) = ((fine_width / 2).max(1), (fine_height / 2).max(1));
+    let average = |i: usize| {
+        let (x, y) = (i as u32 % width, i as u32 / width);
+        let (columns, rows) = (box_taps(x, fine_width, width), box_taps(y, fine_height, height));
+        box_average(columns, rows, |x, y| texel(y as usize * fine_width as usize + x as usize))
+    };
+    let texels = (0..width as usize * height as usize).into_par_iter().map(average).collect();
+    LinearLevel { width, height, texels }
+}
+
+fn box_average(
+    columns: [(u32, f32); 3],
+    rows: [(u32, f32); 3],
+    texel: impl Fn(u32, u32) -> [f32; 4],
+) -> [f32; 4] {
+    let mut weighted = [0.0; 3];
+    let mut plain = [0.0; 3];
+    let mut alpha = 0.0;
+    for (y, wy) in rows {
+        for (x, wx) in columns {
+            let texel = texel(x, y);
+            let weight = wx * wy;
+            alpha += weight * texel[3];
+            for c in 0..3 {
+                weighted[c] += weight * texel[3] * texel[c];
+                plain[c] += weight * texel[c];
+            }
+        }
+    }
+    let [r, g, b] = if alpha > 0.0 { weighted.map(|v| v / alpha) } else { plain };
+    [r, g, b, alpha]
 }
 
 /// The up to three texels of a `fine` axis that texel `index` of a `coarse` axis covers, and their

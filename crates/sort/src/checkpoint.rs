@@ -3,13 +3,13 @@
 use crate::form::RecordForm;
 use crate::options::Plan;
 use crate::runs::{Run, Runs};
-use crate::temp_file::{TempFile, folder_of};
+use crate::temp_file::TempFile;
 use crate::trie::Trie;
 use crate::{SortError, SurfelSummary};
 use pbgi_cloud::Surfel;
+use pbgi_file::{create_new, folder_of, open_kept};
 use pbgi_math::{Aabb, DVec3, RootCube, Vec3};
-use std::fs::File;
-use std::io::Write;
+use std::io::{Read, Write};
 use std::path::PathBuf;
 
 /// First word of a state file; another layout gets another.
@@ -83,7 +83,7 @@ impl Checkpoint {
         words.push(checksum(&words));
         let (path, part) = (self.state_path(), self.unfinished_state_path());
         let write = || {
-            let mut file = File::create(&part)?;
+            let mut file = create_new(&part)?;
             file.write_all(bytemuck::cast_slice(&words))?;
             file.sync_all()?;
             std::fs::rename(&part, &path)
@@ -93,7 +93,8 @@ impl Checkpoint {
 
     /// What was kept for the same fingerprint, if all of it is there.
     pub(crate) fn load(&self) -> Option<(SurfelSummary, Plan, Trie, Runs)> {
-        let bytes = std::fs::read(self.state_path()).ok()?;
+        let mut bytes = Vec::new();
+        open_kept(&self.state_path()).ok()?.read_to_end(&mut bytes).ok()?;
         let words: Vec<u64> = bytes
             .chunks_exact(8)
             .map(|b| u64::from_le_bytes(std::array::from_fn(|i| b[i])))

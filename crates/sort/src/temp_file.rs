@@ -3,6 +3,7 @@
 use crate::SortError;
 use crate::aligned::ALIGNMENT;
 use pbgi_cloud::{CloudError, Surfel, SurfelSource};
+use pbgi_file::{create_new, folder_of, open_kept};
 use pbgi_math::DVec3;
 use rustix::fs::{FallocateFlags, OFlags};
 use std::fs::File;
@@ -46,11 +47,10 @@ impl TempFile {
         Self { file, direct, dir, len }
     }
 
-    /// Creates an empty file of this name, which stays when it is closed.
+    /// Creates a new file of this name, in place of one that is there, which stays when it is closed.
     pub fn create_named(path: &Path) -> Result<Self, SortError> {
         let dir = folder_of(path).to_owned();
-        let options = File::options().read(true).write(true).create(true).truncate(true).open(path);
-        match options {
+        match create_new(path) {
             Ok(file) => Ok(Self::of(file, dir, 0)),
             Err(source) => Err(SortError::Temp { dir, action: "create", source }),
         }
@@ -58,7 +58,7 @@ impl TempFile {
 
     /// Opens a file of this name, if it has this length.
     pub fn open(path: &Path, len: u64) -> Option<Self> {
-        let file = File::options().read(true).write(true).open(path).ok()?;
+        let file = open_kept(path).ok()?;
         let dir = folder_of(path).to_owned();
         (file.metadata().ok()?.len() == len).then(|| Self::of(file, dir, len))
     }
@@ -170,14 +170,6 @@ impl TempFile {
 
     fn error(&self, action: &'static str, source: io::Error) -> SortError {
         SortError::Temp { dir: self.dir.clone(), action, source }
-    }
-}
-
-/// The folder a file lies in.
-pub(crate) fn folder_of(path: &Path) -> &Path {
-    match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
     }
 }
 

@@ -20,6 +20,6 @@ pub use error::StoreError;
 pub use octree::{Octree, OpenOptions, PIN_BYTES_PER_READER_MIN, Reader};
 pub use source::{Backend, FileState, PageSource};
 pub use stats::{CacheStats, ReaderStats};
-pub use trace::{PageTrace, TraceChunk};
+pub use trace::{PageTrace, TRACE_MAGIC, TraceChunk};
 pub use verify::{LevelCounts, VerifyReport};
 pub use walk::{LeafWalk, for_each_leaf, try_for_each_leaf};

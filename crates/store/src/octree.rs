@@ -6,10 +6,11 @@ use crate::source::{Backend, FileState, PageSource, open_source};
 use crate::stats::{CacheStats, ReaderStats};
 use crate::trace::{ReaderTrace, TraceWriter};
 use pbgi_format::{
-    FormatError, HEADER_BYTES, Header, NodePage, PAGE_ENTRY_BYTES, PageEntry, PageId, PageKind,
-    SurfelLayout, SurfelPage, page_checksum,
+    FormatError, GROUP_FIXED_BYTES, HEADER_BYTES, Header, NodePage, PAGE_ENTRY_BYTES, PageChecksum,
+    PageEntry, PageId, PageKind, SurfelLayout, SurfelPage, page_checksum,
 };
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU32, Ordering};
 
 /// How to open a file.
 #[derive(Clone, Copy, Debug)]
@@ -56,6 +57,24 @@ pub struct Octree {
     cache: Cache,
     local_pins: usize,
     trace: Option<TraceWriter>,
+    /// Of each page, the page that links to it, as far as it is known.
+    parents: Vec<AtomicU32>,
+}
+
+/// No page has this number.
+const NO_PARENT: u32 = u32::MAX;
+
+/// Bytes that are held of each page of the file, in memory or not.
+const BYTES_PER_PAGE: u64 =
+    Cache::BYTES_PER_PAGE + (size_of::<PageEntry>() + size_of::<u32>()) as u64;
+
+/// Bytes of the page table read at once.
+const TABLE_PART_BYTES: usize = PAGE_ENTRY_BYTES << 12;
+
+/// Why header or page table cannot be used.
+enum TableError {
+    Io(std::io::Error),
+    Format(FormatError),
 }
 
 impl Octree {
@@ -88,29 +107,24 @@ impl Octree {
         let io = |source| StoreError::Io { path: path.to_owned(), action: "read", source };
         let malformed = |source| StoreError::Malformed { path: path.to_owned(), source };
         let opened = source.state().map_err(io)?;
-        if opened.bytes < HEADER_BYTES as u64 {
-            let found = format!("{} bytes", opened.bytes);
-            let expected = format!("at least {HEADER_BYTES}");
-            return Err(malformed(FormatError { place: "file", found, expected }));
-        }
-        let mut bytes = [0; HEADER_BYTES];
-        source.read_at(0, &mut bytes).map_err(io)?;
-        let header = Header::from_bytes(&bytes, opened.bytes).map_err(malformed)?;
-        // The header is consistent with the file's size, so the table is no larger than the file.
-        let mut bytes = vec![0; header.page_count as usize * PAGE_ENTRY_BYTES];
-        source.read_at(header.page_table_offset, &mut bytes).map_err(io)?;
-        let table = read_table(&bytes, &header).map_err(malformed)?;
+        let explained = |error| match error {
+            TableError::Io(source) => io(source),
+            TableError::Format(source) => malformed(source),
+        };
+        let header = read_header(&*source, opened.bytes).map_err(explained)?;
+        // What the header states is accounted for before any of it is read: a file may be mostly hole.
         let largest = u64::from(header.page_bytes_max);
-        let needed = options.readers as u64 * PIN_BYTES_PER_READER_MIN * largest;
-        let fixed = table.len() as u64 * (Cache::BYTES_PER_PAGE + size_of::<PageEntry>() as u64);
-        if options.cache_bytes < needed + fixed {
+        let needed = (options.readers as u64).saturating_mul(PIN_BYTES_PER_READER_MIN * largest);
+        let fixed = header.page_count.saturating_mul(BYTES_PER_PAGE);
+        if options.cache_bytes < needed.saturating_add(fixed) {
             return Err(StoreError::Budget {
                 path: path.to_owned(),
-                needed: needed + fixed,
+                needed: needed.saturating_add(fixed),
                 granted: options.cache_bytes,
                 readers: options.readers,
             });
         }
+        let table = read_table(&*source, &header).map_err(explained)?;
         let cache_bytes = options.cache_bytes - fixed;
         // Readers' own pins save asking the cache, yet what they hold is not what it would hold: they take a small share of what
         // is left beyond the ways down.
@@ -120,10 +134,12 @@ impl Octree {
             let action = "reserving memory for its pages";
             StoreError::Io { path: path.to_owned(), action, source }
         })?;
+        let parents = (0..table.len()).map(|_| AtomicU32::new(NO_PARENT)).collect();
         Ok(Self {
             path: path.to_owned(),
             header,
             cache,
+            parents,
             table,
             source,
             opened,
@@ -131,6 +147,29 @@ impl Octree {
             local_pins: (spare as usize).clamp(1, LOCAL_PINS),
             trace: None,
         })
+    }
+
+    /// Reads and validates the header alone.
+    ///
+    /// # Errors
+    ///
+    /// As [`Octree::open`].
+    pub fn read_header(path: &Path) -> Result<Header, StoreError> {
+        let io = |action| move |source| StoreError::Io { path: path.to_owned(), action, source };
+        let source = open_source(path, Backend::Read).map_err(io("open"))?;
+        let file_bytes = source.state().map_err(io("read"))?.bytes;
+        read_header(&*source, file_bytes).map_err(|error| match error {
+            TableError::Io(source) => io("read")(source),
+            TableError::Format(source) => StoreError::Malformed { path: path.to_owned(), source },
+        })
+    }
+
+    /// More groups than the file can hold, whatever its header states: a bound for walks.
+    #[must_use]
+    pub fn group_count_max(&self) -> u64 {
+        let nodes = self.table.iter().filter(|page| page.kind == PageKind::Nodes);
+        let bytes: u64 = nodes.map(|page| u64::from(page.decoded_bytes)).sum();
+        bytes / GROUP_FIXED_BYTES as u64 + 1
     }
 
     /// The file.
@@ -323,10 +362,34 @@ impl Octree {
 
     fn check_decoded(&self, id: PageId, entry: &PageEntry, bytes: &[u8]) -> Result<(), StoreError> {
         let checked = match entry.kind {
-            PageKind::Nodes => NodePage::new(bytes, id).map(drop),
+            PageKind::Nodes => {
+                NodePage::new(bytes, id).and_then(|page| self.check_nodes(&page, id))
+            }
             PageKind::Surfels => SurfelPage::new(bytes).map(drop),
         };
         checked.map_err(|source| self.invalid_page(id, source))
+    }
+
+    /// Checks that the links of a page can be followed: each group is linked once. Within a page that is seen at once; and as all links
+    /// into a page come from one page, which page that is need only be known once.
+    fn check_nodes(&self, page: &NodePage<'_>, id: PageId) -> Result<(), FormatError> {
+        page.check_links(self.header.channels)?;
+        for link in (0..).map_while(|index| page.external_link(index)) {
+            let Some(parent) = self.parents.get(link.page.0 as usize) else { continue };
+            let known =
+                parent.compare_exchange(NO_PARENT, id.0, Ordering::Relaxed, Ordering::Relaxed);
+            match known {
+                Err(other) if other != id.0 => {
+                    return Err(FormatError {
+                        place: "link: page",
+                        found: format!("{}, to which page {other} links, too", link.page),
+                        expected: "a page that is linked from one page".to_owned(),
+                    });
+                }
+                _ => {}
+            }
+        }
+        Ok(())
     }
 
     /// `error`, unless the file was written to since it was opened, which explains any damage.
@@ -352,39 +415,71 @@ impl Octree {
     }
 }
 
-fn read_table(bytes: &[u8], header: &Header) -> Result<Vec<PageEntry>, FormatError> {
-    let found = page_checksum(bytes);
+fn read_header(source: &dyn PageSource, file_bytes: u64) -> Result<Header, TableError> {
+    if file_bytes < HEADER_BYTES as u64 {
+        let found = format!("{file_bytes} bytes");
+        let expected = format!("at least {HEADER_BYTES}");
+        return Err(TableError::Format(FormatError { place: "file", found, expected }));
+    }
+    let mut bytes = [0; HEADER_BYTES];
+    source.read_at(0, &mut bytes).map_err(TableError::Io)?;
+    Header::from_bytes(&bytes, file_bytes).map_err(TableError::Format)
+}
+
+/// Reads the page table in parts, so that one that is a hole ends at its first entry.
+fn read_table(source: &dyn PageSource, header: &Header) -> Result<Vec<PageEntry>, TableError> {
+    let mut table = Vec::new();
+    let mut checksum = PageChecksum::default();
+    let (mut end, mut left) = (HEADER_BYTES as u64, header.page_count as usize * PAGE_ENTRY_BYTES);
+    let mut offset = header.page_table_offset;
+    let mut part = vec![0; TABLE_PART_BYTES.min(left)];
+    while left > 0 {
+        let part = &mut part[..TABLE_PART_BYTES.min(left)];
+        source.read_at(offset, part).map_err(TableError::Io)?;
+        checksum.update(part);
+        for entry in part.as_chunks::<PAGE_ENTRY_BYTES>().0 {
+            let entry = read_entry(entry, &mut end, header).map_err(TableError::Format)?;
+            table.push(entry);
+        }
+        offset += part.len() as u64;
+        left -= part.len();
+    }
+    let found = checksum.finish();
     if found != header.page_table_checksum {
-        return Err(FormatError {
+        return Err(TableError::Format(FormatError {
             place: "page table: checksum",
             found: format!("{found:#018x}"),
             expected: format!("{:#018x}", header.page_table_checksum),
-        });
-    }
-    let mut table = Vec::with_capacity(bytes.len() / PAGE_ENTRY_BYTES);
-    let mut end = HEADER_BYTES as u64;
-    for entry in bytes.as_chunks::<PAGE_ENTRY_BYTES>().0 {
-        let entry = PageEntry::read(entry)?;
-        let next = entry.offset.checked_add(u64::from(entry.stored_bytes));
-        let next = next.filter(|&next| entry.offset >= end && next <= header.page_table_offset);
-        let Some(next) = next else {
-            return Err(FormatError {
-                place: "page table: page",
-                found: format!("{} bytes at {}", entry.stored_bytes, entry.offset),
-                expected: format!("between {end} and {}", header.page_table_offset),
-            });
-        };
-        if entry.decoded_bytes > header.page_bytes_max {
-            return Err(FormatError {
-                place: "page table: decoded bytes",
-                found: entry.decoded_bytes.to_string(),
-                expected: format!("at most {}", header.page_bytes_max),
-            });
-        }
-        end = next;
-        table.push(entry);
+        }));
     }
     Ok(table)
+}
+
+/// An entry of a page that starts at or after `end`, which becomes the end of it.
+fn read_entry(
+    bytes: &[u8; PAGE_ENTRY_BYTES],
+    end: &mut u64,
+    header: &Header,
+) -> Result<PageEntry, FormatError> {
+    let entry = PageEntry::read(bytes)?;
+    let next = entry.offset.checked_add(u64::from(entry.stored_bytes));
+    let next = next.filter(|&next| entry.offset >= *end && next <= header.page_table_offset);
+    let Some(next) = next else {
+        return Err(FormatError {
+            place: "page table: page",
+            found: format!("{} bytes at {}", entry.stored_bytes, entry.offset),
+            expected: format!("between {end} and {}", header.page_table_offset),
+        });
+    };
+    if entry.decoded_bytes > header.page_bytes_max {
+        return Err(FormatError {
+            place: "page table: decoded bytes",
+            found: entry.decoded_bytes.to_string(),
+            expected: format!("at most {}", header.page_bytes_max),
+        });
+    }
+    *end = next;
+    Ok(entry)
 }
 
 /// One thread's access to an octree: pins pages, remembering the most recent ones.

@@ -1,5 +1,6 @@
 //! Where the bytes of an octree file come from: a map of it, or reads.
 
+use pbgi_file::open_input;
 use std::fs::File;
 use std::io;
 use std::os::unix::fs::FileExt;
@@ -45,10 +46,7 @@ pub trait PageSource: Send + Sync {
 
 /// Opens `path` for reading.
 pub(crate) fn open_source(path: &Path, backend: Backend) -> io::Result<Box<dyn PageSource>> {
-    let file = File::open(path)?;
-    if file.metadata()?.is_dir() {
-        return Err(io::Error::other("it is a folder, not an octree file"));
-    }
+    let file = open_input(path)?;
     Ok(match backend {
         Backend::Read => Box::new(file),
         Backend::Map => Box::new(map::MappedFile::new(file)?),
@@ -72,12 +70,18 @@ mod map {
     use memmap2::{Advice, Mmap, UncheckedAdvice};
     use std::fs::File;
     use std::io;
+    use std::sync::{PoisonError, RwLock};
 
     /// A read-only map whose bytes are only ever copied out.
     pub(super) struct MappedFile {
         map: Mmap,
         file: File,
+        /// Shared while bytes are copied, exclusive while what was mapped for that is dropped.
+        copying: RwLock<()>,
     }
+
+    /// The system maps as much at once where it caches a file in large pages.
+    const WINDOW_BYTES: usize = 2 << 20;
 
     impl MappedFile {
         pub fn new(file: File) -> io::Result<Self> {
@@ -89,7 +93,7 @@ mod map {
             let map = unsafe { Mmap::map(&file)? };
             // Pages are brought in whole, by `read_at`; read-ahead around them is waste.
             map.advise(Advice::Random)?;
-            Ok(Self { map, file })
+            Ok(Self { map, file, copying: RwLock::new(()) })
         }
     }
 
@@ -98,6 +102,7 @@ mod map {
             let start = usize::try_from(offset).unwrap_or(usize::MAX);
             let end = start.checked_add(out.len()).filter(|&end| end <= self.map.len());
             let end = end.ok_or(io::ErrorKind::UnexpectedEof)?;
+            let shared = self.copying.read().unwrap_or_else(PoisonError::into_inner);
             // One request for the whole page: faults taken singly, which is what populating a map without read-ahead does, are a
             // hundred times slower.
             let _ = self.map.advise_range(Advice::WillNeed, start, out.len());
@@ -107,9 +112,13 @@ mod map {
                 return self.file.read_at(offset, out);
             }
             out.copy_from_slice(&self.map[start..end]);
+            drop(shared);
+            let window = start / WINDOW_BYTES * WINDOW_BYTES;
+            let length = end.next_multiple_of(WINDOW_BYTES).min(self.map.len()) - window;
+            let _exclusive = self.copying.write().unwrap_or_else(PoisonError::into_inner);
             // SAFETY: the map is read-only and shared with the file, so dropped pages come back
-            // with the same contents; nothing refers to them here.
-            unsafe { self.map.unchecked_advise_range(UncheckedAdvice::DontNeed, start, out.len()) }
+            // with the same contents; nothing refers to them here, and nobody copies from them now.
+            unsafe { self.map.unchecked_advise_range(UncheckedAdvice::DontNeed, window, length) }
         }
 
         fn state(&self) -> io::Result<FileState> {

@@ -5,14 +5,15 @@
 //! of one reader are in order, and so are those of readers that run one after the other; of readers that run at the same
 //! time, stretches of up to [`CHUNK_ENTRIES`] follow each other.
 
+use pbgi_file::AtomicFile;
 use pbgi_format::{PageEntry, PageId};
-use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use std::io::{self, Write};
 use std::path::Path;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-const MAGIC: [u8; 8] = *b"PBGITRC1";
+/// First bytes of a trace.
+pub const TRACE_MAGIC: [u8; 8] = *b"PBGITRC1";
 
 /// Entries a reader keeps before it writes them.
 const CHUNK_ENTRIES: usize = 1024;
@@ -20,14 +21,14 @@ const CHUNK_ENTRIES: usize = 1024;
 /// A trace being written.
 pub(crate) struct TraceWriter {
     /// The file, or the first error.
-    file: Mutex<io::Result<BufWriter<File>>>,
+    file: Mutex<io::Result<AtomicFile>>,
     readers: AtomicU32,
 }
 
 impl TraceWriter {
     pub fn create(path: &Path, pages: &[PageEntry]) -> io::Result<Self> {
-        let mut file = BufWriter::new(File::create(path)?);
-        file.write_all(&MAGIC)?;
+        let mut file = AtomicFile::create(path)?;
+        file.write_all(&TRACE_MAGIC)?;
         file.write_all(&(pages.len() as u32).to_le_bytes())?;
         for page in pages {
             file.write_all(&page.decoded_bytes.to_le_bytes())?;
@@ -41,22 +42,20 @@ impl TraceWriter {
         ReaderTrace { trace: self, reader, entries: Vec::new() }
     }
 
-    /// Writes what is buffered.
+    /// Completes the file, which appears under its name. Nothing can be recorded any more.
     ///
     /// # Errors
     ///
     /// The first error of any write.
     pub fn finish(&self) -> io::Result<()> {
-        self.write_with(|file| file.flush());
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
-        match &mut *file {
-            Ok(_) => Ok(()),
-            Err(error) => Err(std::mem::replace(error, io::ErrorKind::Other.into())),
-        }
+        let file = std::mem::replace(&mut *file, Err(io::ErrorKind::Other.into()))?;
+        file.commit()
+            .map_err(|e| io::Error::new(e.source.kind(), format!("{}: {}", e.action, e.source)))
     }
 
     /// Writes, unless a write failed before.
-    fn write_with(&self, write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) {
+    fn write_with(&self, write: impl FnOnce(&mut AtomicFile) -> io::Result<()>) {
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
         if let Ok(open) = &mut *file
             && let Err(error) = write(open)
@@ -146,7 +145,7 @@ impl PageTrace {
     }
 
     fn parse(bytes: &[u8]) -> Option<Self> {
-        let bytes = bytes.strip_prefix(&MAGIC)?;
+        let bytes = bytes.strip_prefix(&TRACE_MAGIC)?;
         let (words, []) = bytes.as_chunks::<4>() else { return None };
         let mut words = words.iter().copied().map(u32::from_le_bytes);
         let page_count = words.next()? as usize;

@@ -51,6 +51,7 @@ pub struct LeafWalk {
     stack: Vec<Visit>,
     /// Groups and surfels so far.
     groups: u64,
+    groups_max: u64,
     done: u64,
     surfels: Vec<LeafSurfel>,
 }
@@ -61,7 +62,8 @@ impl LeafWalk {
     pub fn new(octree: &Octree) -> Self {
         let header = octree.header();
         let root = Visit::Group { page: header.root_page, offset: header.root_offset, depth: 0 };
-        Self { stack: vec![root], groups: 0, done: 0, surfels: Vec::new() }
+        let groups_max = octree.group_count_max();
+        Self { stack: vec![root], groups: 0, groups_max, done: 0, surfels: Vec::new() }
     }
 
     /// The next leaf, as [`for_each_leaf`] gives it, through a reader of the octree the walk began in; `None` after the last.
@@ -78,7 +80,7 @@ impl LeafWalk {
             match next {
                 Visit::Group { page, offset, depth } => {
                     // Links of a damaged file may form a cycle.
-                    if depth >= header.depth || self.groups > header.node_count {
+                    if depth >= header.depth || self.groups > self.groups_max {
                         return Err(invalid(reader, page, "tree: depth", depth, header.depth));
                     }
                     self.groups += 1;

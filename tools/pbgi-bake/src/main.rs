@@ -5,7 +5,8 @@ use clap::{Parser, ValueEnum};
 use pbgi::cli::{self, CommonArgs};
 use pbgi::{
     BakeRequest, ClassFilter, CloudOptions, EnvironmentSpec, InputKind, InvalidPolicy,
-    LightRequest, LightSource, NormalsChoice, PbgiError, Sampling, TwoSided, UpAxis,
+    LightRequest, LightSource, NormalsChoice, Output, OutputKind, PbgiError, Sampling, TwoSided,
+    UpAxis, check_writable,
 };
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -257,6 +258,13 @@ fn default_output(input: &str) -> Result<PathBuf, PbgiError> {
 fn run(args: &Args, cancel: &AtomicBool) -> Result<(), PbgiError> {
     args.common.check()?;
     let request = args.request()?;
+    let statistics = args.stats_json.as_deref().filter(|path| *path != Path::new("-"));
+    if let Some(path) = statistics {
+        let kind = OutputKind::Statistics;
+        let output = Output { option: "--stats-json", path, kind, replace: true };
+        request.files()?.add_output(&output)?;
+        check_writable(path)?;
+    }
     let progress = args.common.start_progress(2);
     let report = pbgi::bake(&request, &progress, cancel)?;
     let json_on_stdout = args.stats_json.as_deref() == Some(Path::new("-"));

@@ -7,8 +7,9 @@ use clap::Parser;
 use pbgi::cli::{self, CommonArgs};
 use pbgi::{
     BakeReport, BakeRequest, CameraChoice, EnvironmentSpec, FRAME_AOVS, FrameRequest, LightRequest,
-    PbgiError, Progress, Sampling, ShadeReport, ShadeSettings, SkyParameters, bake,
-    procedural_scene, shade_frame, synthetic_sky, write_environment_exr,
+    Output, OutputKind, PbgiError, Progress, RunFiles, Sampling, ShadeReport, ShadeSettings,
+    SkyParameters, bake, check_writable, procedural_scene, shade_frame, synthetic_sky,
+    write_environment_exr,
 };
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -105,6 +106,7 @@ impl Demo {
 
     fn run(&self, cancel: &AtomicBool) -> Result<(), PbgiError> {
         let start = Instant::now();
+        self.check_files()?;
         let street = procedural_scene(&self.scene_name)?;
         let sky_path = self.path("sky.exr");
         let sky = SkyParameters { sun_direction: street.sun_direction, ..SkyParameters::default() };
@@ -135,6 +137,23 @@ impl Demo {
         frame.write_exr(&self.path("street.exr"))?;
         frame.write_preview(&self.path("street.png"), None)?;
         self.report(&baked, &frame.report, start.elapsed().as_secs_f64())
+    }
+
+    /// Refuses to replace what is called like a result and is none.
+    fn check_files(&self) -> Result<(), PbgiError> {
+        let mut files = RunFiles::default();
+        for (name, kind) in [
+            ("sky.exr", OutputKind::Picture),
+            ("street.pbgi", OutputKind::Octree),
+            ("street.exr", OutputKind::Picture),
+            ("street.png", OutputKind::Preview),
+            ("stats.json", OutputKind::Statistics),
+        ] {
+            let path = &self.path(name);
+            files.add_output(&Output { option: "--out", path, kind, replace: true })?;
+            check_writable(path)?;
+        }
+        Ok(())
     }
 
     fn bake(

@@ -3,7 +3,9 @@
 
 use clap::Parser;
 use pbgi::cli::{self, CommonArgs, IoMode};
-use pbgi::{OctreeCheck, OctreeInfo, PbgiError, Progress};
+use pbgi::{
+    OctreeCheck, OctreeInfo, Output, OutputKind, PbgiError, Progress, RunFiles, check_writable,
+};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -39,7 +41,14 @@ struct Args {
 
 fn run(args: &Args, cancel: &AtomicBool) -> Result<(), PbgiError> {
     args.common.check()?;
-    let info = OctreeInfo::read(&args.file)?;
+    if let Some(path) = &args.points {
+        let mut files = RunFiles::default();
+        files.add_input(&args.file)?;
+        let (kind, replace) = (OutputKind::Points, args.force);
+        files.add_output(&Output { option: "--points", path, kind, replace })?;
+        check_writable(path)?;
+    }
+    let info = OctreeInfo::read(&args.file, args.common.memory_limit)?;
     let is_read = args.verify || args.histogram;
     let progress =
         args.common.start_progress(u32::from(is_read) + u32::from(args.points.is_some()));
@@ -71,7 +80,9 @@ fn check_file(
     cancel: &AtomicBool,
 ) -> Result<OctreeCheck, PbgiError> {
     let phase = progress.start_phase("verify", "bytes", Some(file_bytes));
-    OctreeCheck::read(&args.file, args.io.into(), args.common.thread_count(), |bytes| {
+    let CommonArgs { memory_limit, .. } = args.common;
+    let threads = args.common.thread_count();
+    OctreeCheck::read(&args.file, args.io.into(), threads, memory_limit, |bytes| {
         phase.set_done(bytes);
         if cancel.load(Ordering::Relaxed) {
             // Only reading so far: there is nothing to clean up.

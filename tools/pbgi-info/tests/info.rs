@@ -66,7 +66,7 @@ fn ptc_files_go_out_and_come_in_again() {
         ..BakeRequest::default()
     };
     pbgi::bake(&request, &Progress::silent(), &AtomicBool::new(false)).unwrap();
-    let info = |name: &str| pbgi::OctreeInfo::read(&folder.path().join(name)).unwrap();
+    let info = |name: &str| pbgi::OctreeInfo::read(&folder.path().join(name), 1 << 30).unwrap();
     let (before, after) = (info("scene.pbgi"), info("again.pbgi"));
     assert_eq!((after.surfels, after.channels, after.albedo), (before.surfels, "rgb", true));
     let is_close = |a: f64, b: f64| (a - b).abs() <= 1e-3 * b.abs();
@@ -119,7 +119,7 @@ fn exported_surfels_bake_into_the_same_cloud_again() {
         ..BakeRequest::default()
     };
     pbgi::bake(&request, &Progress::silent(), &AtomicBool::new(false)).unwrap();
-    let read = |name| pbgi::OctreeInfo::read(&folder.path().join(name)).unwrap();
+    let read = |name| pbgi::OctreeInfo::read(&folder.path().join(name), 1 << 30).unwrap();
     let (first, again) = (read("scene.pbgi"), read("again.pbgi"));
     assert_eq!(first.surfels, again.surfels);
     assert!((first.area_total / again.area_total - 1.0).abs() < 1e-3);

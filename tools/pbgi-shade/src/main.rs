@@ -6,11 +6,13 @@ mod frames;
 
 use args::{ShadeArgs, SpaceArg};
 use clap::Parser;
+use frames::Frames;
 use pbgi::cli::{self, format_table};
 use pbgi::{
-    FRAME_AOVS, Frame, FrameRequest, GBUFFER_AOVS, GBufferRequest, GBufferSpace, PbgiError,
-    PointSource, PointsRequest, Progress, Scene, ShadeReport, ShadeSettings, check_suffix,
-    check_writable, load_scene, refuse_to_overwrite, shade_frame, shade_gbuffer, shade_points,
+    FRAME_AOVS, Frame, FrameRequest, GBUFFER_AOVS, GBufferRequest, GBufferSpace, Output,
+    OutputKind, PbgiError, PointSource, PointsRequest, Progress, RunFiles, Scene, ShadeReport,
+    ShadeSettings, check_suffix, check_writable, load_scene_within, shade_frame, shade_gbuffer,
+    shade_points,
 };
 use std::path::Path;
 use std::process::ExitCode;
@@ -24,15 +26,64 @@ fn main() -> ExitCode {
 fn shade(args: &ShadeArgs, cancel: &AtomicBool) -> Result<(), PbgiError> {
     args.common.check()?;
     let mut scenes = SceneCache::default();
-    let Some(frames) = &args.animation.frames else { return shade_one(args, &mut scenes, cancel) };
+    let Some(frames) = &args.animation.frames else {
+        let mut files = RunFiles::default();
+        add_inputs(args, &mut files)?;
+        add_outputs(args, &mut files)?;
+        return shade_one(args, &mut scenes, &mut files, cancel);
+    };
     frames::check(args)?;
+    let mut files = files_of_all(args, frames)?;
     for number in frames.numbers() {
         if !args.common.quiet {
-            eprintln!("frame {number}");
+            cli::tell(&format!("frame {number}"));
         }
-        shade_one(&frames::args_of(args, number), &mut scenes, cancel)?;
+        shade_one(&frames::args_of(args, number), &mut scenes, &mut files, cancel)?;
     }
     Ok(())
+}
+
+/// The files of an animation: no frame may replace what another one reads.
+fn files_of_all(args: &ShadeArgs, frames: &Frames) -> Result<RunFiles, PbgiError> {
+    let mut files = RunFiles::default();
+    for number in frames.numbers() {
+        add_inputs(&frames::args_of(args, number), &mut files)?;
+    }
+    for number in frames.numbers() {
+        add_outputs(&frames::args_of(args, number), &mut files)?;
+    }
+    Ok(files)
+}
+
+fn add_inputs(args: &ShadeArgs, files: &mut RunFiles) -> Result<(), PbgiError> {
+    let others =
+        [&args.view.camera_file, &args.gbuffer.gbuffer, &args.points.receivers, &args.light.env];
+    files.add_input(&args.octree)?;
+    others.into_iter().flatten().try_for_each(|path| files.add_input(path))?;
+    files.add_named_inputs(&args.view.scene)
+}
+
+fn add_outputs(args: &ShadeArgs, files: &mut RunFiles) -> Result<(), PbgiError> {
+    outputs(args).iter().try_for_each(|output| files.add_output(output))
+}
+
+/// What is written, but to standard output.
+fn outputs(args: &ShadeArgs) -> Vec<Output<'_>> {
+    let is_points = args.points.surfels || args.points.receivers.is_some();
+    let (kind, replace) =
+        if is_points { (OutputKind::Points, args.force) } else { (OutputKind::Picture, true) };
+    let mut outputs = vec![Output { option: "-o", path: &args.output, kind, replace }];
+    let options = &args.output_options;
+    for (option, path, kind) in [
+        ("--preview", &options.preview, OutputKind::Preview),
+        ("--contact-sheet", &options.contact_sheet, OutputKind::Preview),
+        ("--stats-json", &options.stats_json, OutputKind::Statistics),
+        ("--trace-pages", &args.store.trace_pages, OutputKind::Trace),
+    ] {
+        let path = path.as_deref().filter(|path| *path != Path::new("-"));
+        outputs.extend(path.map(|path| Output { option, path, kind, replace: true }));
+    }
+    outputs
 }
 
 /// The scene of the frame before, which most animations share.
@@ -41,12 +92,17 @@ struct SceneCache(Option<(String, Scene)>);
 
 impl SceneCache {
     /// The scene called `name`; its warnings are given when it is read.
-    fn load(&mut self, name: &str, warnings: &mut Vec<String>) -> Result<&Scene, PbgiError> {
+    fn load(
+        &mut self,
+        name: &str,
+        memory_limit: u64,
+        warnings: &mut Vec<String>,
+    ) -> Result<&Scene, PbgiError> {
         let known = self.0.take().filter(|(known, _)| known == name);
         let entry = match known {
             Some(entry) => entry,
             None => {
-                let scene = load_scene(name)?;
+                let scene = load_scene_within(name, memory_limit)?;
                 warnings.extend(scene.warnings.iter().map(|warning| format!("{name}: {warning}")));
                 (name.to_owned(), scene)
             }
@@ -58,36 +114,39 @@ impl SceneCache {
 fn shade_one(
     args: &ShadeArgs,
     scenes: &mut SceneCache,
+    files: &mut RunFiles,
     cancel: &AtomicBool,
 ) -> Result<(), PbgiError> {
     let progress = args.common.start_progress(2);
     let settings = settings(args);
     settings.validate()?;
+    outputs(args).iter().try_for_each(|output| check_writable(output.path))?;
     let output = &args.output_options;
-    let others =
-        [&output.stats_json, &output.preview, &output.contact_sheet, &args.store.trace_pages];
-    for path in others.into_iter().flatten() {
-        if path.as_os_str() != "-" {
-            check_writable(path)?;
-        }
-    }
-    check_writable(&args.output)?;
     if args.points.receivers.is_none() && !args.points.surfels {
         check_suffix(&args.output, &["exr"], "pictures")?;
     }
     for path in [&output.preview, &output.contact_sheet].into_iter().flatten() {
         check_suffix(path, &["png"], "previews")?;
     }
-    let report = match &args.points.receivers {
+    let mut warnings = Vec::new();
+    let mut report = match &args.points.receivers {
         Some(path) => points(args, PointSource::File(path.clone()), settings, &progress, cancel),
         None if args.points.surfels => {
             points(args, PointSource::Surfels, settings, &progress, cancel)
         }
         None => match &args.gbuffer.gbuffer {
             Some(path) => gbuffer(args, path, settings, &progress, cancel),
-            None => picture(args, scenes, settings, &progress, cancel),
+            None => {
+                if let Some(name) = &args.view.scene {
+                    let limit = args.common.memory_limit;
+                    let scene = scenes.load(name, limit, &mut warnings)?;
+                    scene.files.iter().try_for_each(|file| files.add_input(file))?;
+                }
+                picture(args, scenes, settings, &progress, cancel)
+            }
         },
     }?;
+    report.warnings.splice(0..0, warnings);
     for warning in &report.warnings {
         progress.warn(warning);
     }
@@ -131,9 +190,10 @@ fn picture(
     cancel: &AtomicBool,
 ) -> Result<ShadeReport, PbgiError> {
     let aovs = args.output_options.parse_aovs(&FRAME_AOVS, settings.gloss.is_some())?;
+    let limit = args.common.memory_limit;
     let mut warnings = Vec::new();
     let scene = args.view.scene.as_deref();
-    let scene = scene.map(|name| scenes.load(name, &mut warnings)).transpose()?;
+    let scene = scene.map(|name| scenes.load(name, limit, &mut warnings)).transpose()?;
     let request = FrameRequest {
         octree: &args.octree,
         scene,
@@ -196,7 +256,6 @@ fn points(
         let message = "--preview and --contact-sheet belong to a picture; points have none";
         return Err(PbgiError::usage(message));
     }
-    refuse_to_overwrite(&args.output, args.force)?;
     let eye = args.points.eye.map(Into::into);
     let request =
         PointsRequest { octree: &args.octree, source, target: &args.output, eye, settings };

@@ -2,17 +2,18 @@
 
 use crate::PbgiError;
 use crate::bake::octree_source::{OCTREE_CACHE_BYTES, OctreeSource};
+use crate::budget::reading::read_within;
 use pbgi_cloud::{
     CloudError, CloudOptions, ConcatSource, LAS_MAGIC, LazyCloud, PlyHeader, SliceSource, Surfel,
     SurfelSource, open_cloud, raw::RAW_MAGIC,
 };
+use pbgi_file::open_input;
 use pbgi_scene::{
     DiceError, DiceOptions, DicedScene, ProceduralSpec, Scene, Spacing, TwoSided, procedural_scene,
-    read_scene,
+    read_scene_within,
 };
-use std::fs::File;
 use std::io::{BufReader, Read};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
 /// Surfels meshes are diced into where nothing else is asked for.
@@ -70,7 +71,7 @@ impl InputKind {
         if ["glb", "gltf", "obj"].iter().any(|e| extension.eq_ignore_ascii_case(e)) {
             return Ok(Self::Mesh);
         }
-        let file = File::open(path).map_err(|e| CloudError::io(path, "open", e))?;
+        let file = open_input(path).map_err(|e| CloudError::io(path, "open", e))?;
         let mut start = Vec::new();
         file.take(RAW_MAGIC.len() as u64)
             .read_to_end(&mut start)
@@ -96,7 +97,7 @@ impl InputKind {
     }
 
     fn of_ply(path: &Path) -> Result<Self, PbgiError> {
-        let file = File::open(path).map_err(|e| CloudError::io(path, "open", e))?;
+        let file = open_input(path).map_err(|e| CloudError::io(path, "open", e))?;
         let header = PlyHeader::read(&mut BufReader::new(file), path)?;
         let has_rows = |name| header.element(name).is_some_and(|faces| faces.count > 0);
         if has_rows("face") || has_rows("tristrips") {
@@ -136,11 +137,19 @@ impl InputKind {
 ///
 /// If it cannot be read, or has no triangles.
 pub fn load_scene(name: &str) -> Result<Scene, PbgiError> {
+    load_scene_within(name, u64::MAX)
+}
+
+/// As [`load_scene`], where the process may hold so many bytes: what files state that they hold is counted before it is read.
+///
+/// # Errors
+///
+/// As [`load_scene`]; [`PbgiError::Budget`] with the limit that would do.
+pub fn load_scene_within(name: &str, memory_limit: u64) -> Result<Scene, PbgiError> {
     if ProceduralSpec::matches(name) {
-        Ok(procedural_scene(name)?.scene)
-    } else {
-        Ok(read_scene(Path::new(name))?)
+        return Ok(procedural_scene(name)?.scene);
     }
+    read_within(memory_limit, |allowance| read_scene_within(Path::new(name), allowance))
 }
 
 /// What becomes of the light that octree files store.
@@ -157,7 +166,7 @@ pub enum OctreeUse {
 /// One input, opened.
 enum Content {
     Scene {
-        scene: Scene,
+        scene: Box<Scene>,
         /// Surfels the name itself asks for.
         surfels: Option<u64>,
         /// Its lights, once it is read.
@@ -206,6 +215,7 @@ impl Inputs {
         names: &[String],
         options: &CloudOptions,
         octrees: OctreeUse,
+        memory_limit: u64,
     ) -> Result<Self, PbgiError> {
         if names.is_empty() {
             return Err(PbgiError::usage("no input; name meshes, point clouds or demo:street"));
@@ -236,16 +246,25 @@ impl Inputs {
                 Content::Cloud(Some(Box::new(octree)))
             } else if kind.is_mesh() {
                 let spec = ProceduralSpec::parse(name).ok();
-                let scene = load_scene(name)?;
+                let scene = Box::new(load_scene_within(name, memory_limit)?);
                 inputs.warnings.extend(scene.warnings.iter().map(|w| format!("{name}: {w}")));
                 let surfels = spec.and_then(|spec| spec.surfels);
                 Content::Scene { scene, surfels, lights: Vec::new() }
             } else {
-                Content::Cloud(Some(open_for_later(Path::new(name), options)?))
+                Content::Cloud(Some(open_cloud_of(name, options)?))
             };
             inputs.contents.push(content);
         }
         Ok(inputs)
+    }
+
+    /// Files that inputs refer to.
+    pub fn files(&self) -> Vec<PathBuf> {
+        let of = |content: &Content| match content {
+            Content::Scene { scene, .. } => scene.files.clone(),
+            Content::Cloud(_) => Vec::new(),
+        };
+        self.contents.iter().flat_map(of).collect()
     }
 
     /// Whether any input is a point cloud.
@@ -337,14 +356,11 @@ impl Inputs {
     }
 }
 
-/// A cloud to be read when its turn comes. What cannot be opened twice, such as a pipe, stays open.
-fn open_for_later(
-    path: &Path,
-    options: &CloudOptions,
-) -> Result<Box<dyn SurfelSource>, CloudError> {
-    match path.is_file() {
-        true => Ok(Box::new(LazyCloud::open(path, options)?)),
-        false => open_cloud(path, options),
+/// A cloud to be read when its turn comes; standard input stays open.
+fn open_cloud_of(name: &str, options: &CloudOptions) -> Result<Box<dyn SurfelSource>, CloudError> {
+    match name {
+        "-" => open_cloud(Path::new(name), options),
+        _ => Ok(Box::new(LazyCloud::open(Path::new(name), options)?)),
     }
 }
 
@@ -450,7 +466,8 @@ mod tests {
             write(folder.path(), name, &text)
         };
         let names = [square("a.obj", 1.0), square("b.obj", 3.0), "demo:room?surfels=5k".to_owned()];
-        let mut inputs = Inputs::open(&names, &CloudOptions::default(), OctreeUse::Keep).unwrap();
+        let mut inputs =
+            Inputs::open(&names, &CloudOptions::default(), OctreeUse::Keep, 1 << 30).unwrap();
         let spacings = inputs
             .choose_spacings(Sampling::Surfels(10_000), TwoSided::None, &AtomicBool::new(false))
             .unwrap();

@@ -17,21 +17,22 @@ use crate::bake::request::{BakeRequest, NormalsChoice};
 use crate::budget::bake::BakeMemory;
 use crate::budget::disk_space::{DiskSpace, DiskUse};
 use crate::budget::resident::{peak_resident_bytes, process_use};
-use crate::cli::output_path::{are_on_one_disk, folder_of, free_bytes, temporary_path};
+use crate::cli::output_path::{are_on_one_disk, free_bytes, kept_files};
 use crate::cli::progress::{Phase, Progress, format_bytes};
 use pbgi_build::{
-    BuildOptions, BuildReport, ChannelChoice, StreamSummary, build_octree,
-    build_octree_from_pieces, remove_unfinished,
+    BuildOptions, BuildReport, ChannelChoice, StreamSummary, build_octree, build_octree_from_pieces,
 };
 use pbgi_cloud::SurfelSource;
+use pbgi_file::{Claim, ClaimError, KeptFiles, folder_of};
+use pbgi_format::COORDINATE_MAX;
 use pbgi_light::UpAxis;
-use pbgi_math::Vec3;
+use pbgi_math::{Aabb, Vec3};
 use pbgi_sort::{
     BUDGET_BYTES_MIN, Checkpoint, EstimateOptions, SortOptions, SortPhase, SortProgress,
     SortedSurfels, SurfelSummary, estimate_surfels, pieces_in_flight, sort_surfels,
 };
 use pbgi_store::{Octree, OpenOptions};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
@@ -57,6 +58,7 @@ pub fn bake(
 ) -> Result<BakeReport, PbgiError> {
     let start = Instant::now();
     request.check()?;
+    let _claim = claim(&request.output)?;
     let memory = BakeMemory::new(request.memory_limit, request.threads, request.light.is_any());
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(memory.threads)
@@ -67,10 +69,11 @@ pub fn bake(
         (true, false) => OctreeUse::Light,
         (true, true) => OctreeUse::LightUnlit,
     };
-    let mut inputs = pool.install(|| Inputs::open(&request.inputs, &request.cloud, octrees))?;
+    let mut inputs = pool
+        .install(|| Inputs::open(&request.inputs, &request.cloud, octrees, request.memory_limit))?;
     check_canceled(cancel)?;
     let z_up = request.up.map_or(inputs.any_z_up, |up| up == UpAxis::Z);
-    let light = pool.install(|| Light::load(&request.light, z_up))?;
+    let light = pool.install(|| Light::load(&request.light, z_up, request.memory_limit))?;
     // Sort, estimate where there may be something to estimate, build, light.
     progress.set_phase_count(2 + u32::from(inputs.any_cloud()) + light.pass_count());
     let report = BakeReport {
@@ -81,13 +84,15 @@ pub fn bake(
         memory_limit_bytes: request.memory_limit,
         ..BakeReport::default()
     };
-    let path = temporary_path(&request.temp_dir(), &request.output);
-    let fingerprint = request.fingerprint();
+    let mut files = request.files()?;
+    inputs.files().iter().try_for_each(|file| files.add_input(file))?;
+    let kept = kept_files(&request.temp_dir(), &request.output);
+    let path = take_up_or_start(request, &kept)?;
+    let fingerprint = request.fingerprint(&inputs.files());
     let passes = PassFiles { path: path.clone(), fingerprint };
     let checkpoint = Checkpoint { path, fingerprint };
     let mut baker =
         Baker { request, memory, progress, cancel, light, z_up, report, checkpoint, passes };
-    baker.remove_leftovers()?;
     let sorted = pool.install(|| baker.sort(&mut inputs))?;
     baker.report.warnings.append(&mut inputs.warnings);
     baker.report.lights = inputs.light_count as u64;
@@ -96,9 +101,35 @@ pub fn bake(
     drop((inputs, pool));
     let sorted = baker.estimate(sorted, lacks_normals)?;
     let build = baker.build(sorted)?;
-    baker.checkpoint.remove()?;
-    baker.passes.remove()?;
+    remove_kept(&kept, None, request)?;
     Ok(baker.finish(&build, start))
+}
+
+/// Claims the output: what another bake of it has made so far must not be touched.
+fn claim(output: &Path) -> Result<Claim, PbgiError> {
+    Claim::take(output).map_err(|error| match error {
+        ClaimError::Busy => PbgiError::failed(format!(
+            "{}: another bake works on this output; wait for it, or name another output (-o)",
+            output.display()
+        )),
+        ClaimError::Io(source) => PbgiError::output(output, "create", source),
+    })
+}
+
+/// Path without extension of what this bake keeps for the next one: that of an earlier run to be taken up, or a new one. What other runs
+/// have left is removed.
+fn take_up_or_start(request: &BakeRequest, kept: &KeptFiles) -> Result<PathBuf, PbgiError> {
+    let found = if request.resume { kept.find() } else { None };
+    remove_kept(kept, found.as_deref(), request)?;
+    Ok(found.unwrap_or_else(|| kept.new_path()))
+}
+
+fn remove_kept(
+    kept: &KeptFiles,
+    but: Option<&Path>,
+    request: &BakeRequest,
+) -> Result<(), PbgiError> {
+    kept.remove(but).map_err(|e| PbgiError::output(&request.temp_dir(), "remove files in", e))
 }
 
 /// Largest area of an estimated surfel, as a share of the root cube's face, below which points lie on each other.
@@ -172,6 +203,7 @@ impl<'a> Baker<'a> {
                 "{names}: no surfels; an octree needs at least one{why}"
             )));
         }
+        check_scale(sorted.summary())?;
         self.report.sorted_runs = sorted.run_count() as u64;
         self.end_phase("sort", start, count);
         Ok(sorted)
@@ -325,19 +357,6 @@ impl<'a> Baker<'a> {
     /// Lets a finished pass outlive this run, if asked to.
     fn keep_pass(&self, finished: FinishedPass) -> Result<(), PbgiError> {
         if self.request.resume { self.passes.save(finished) } else { Ok(()) }
-    }
-
-    /// Removes what a killed run has left and this one does not take up.
-    fn remove_leftovers(&self) -> Result<(), PbgiError> {
-        if !self.request.resume {
-            self.checkpoint.remove()?;
-            self.passes.remove()?;
-        }
-        for pass in 0..2 {
-            let path = self.passes.octree(pass);
-            remove_unfinished(&path).map_err(|e| PbgiError::output(&path, "remove", e))?;
-        }
-        Ok(())
     }
 
     /// Passes of light; 0 where they would change nothing.
@@ -496,6 +515,23 @@ impl<'a> Baker<'a> {
             ..self.report
         }
     }
+}
+
+/// Least size of a cloud, 2⁻²³ scene units, with which results are those of the same cloud at any other scale.
+const SCALE_MIN: f32 = 1.0 / (1 << 23) as f32;
+
+/// Refuses clouds so large or so small that sums and products of their sizes are no numbers any more.
+fn check_scale(summary: &SurfelSummary) -> Result<(), PbgiError> {
+    let Aabb { min, max } = summary.bounds;
+    let farthest = min.abs().max(max.abs()).max_element() + summary.radius_max;
+    let size = summary.root.edge.max(summary.radius_max);
+    if farthest <= COORDINATE_MAX && size >= SCALE_MIN {
+        return Ok(());
+    }
+    Err(PbgiError::input(format!(
+        "the surfels reach to {farthest} units from the origin of the file and lie in a cube of {size} units; results are right up to \
+         {COORDINATE_MAX} units, and from {SCALE_MIN} units on: scale the scene"
+    )))
 }
 
 /// What a pass of light gathers from.

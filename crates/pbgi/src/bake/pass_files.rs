@@ -1,8 +1,8 @@
 //! Octrees between passes of light, and what a run needs to know to go on from the last finished one.
 
 use crate::PbgiError;
+use pbgi_file::{create_new, open_kept};
 use serde::{Deserialize, Serialize};
-use std::fs::File;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
@@ -71,7 +71,7 @@ impl PassFiles {
         };
         let (path, part) = (self.state(), self.unfinished_state());
         let write = || {
-            let mut file = File::create(&part)?;
+            let mut file = create_new(&part)?;
             file.write_all(&serde_json::to_vec(&state)?)?;
             file.sync_all()?;
             std::fs::rename(&part, &path)
@@ -82,7 +82,7 @@ impl PassFiles {
 
     /// The last finished pass of the same inputs and options, if its octree is there.
     pub fn load(&self) -> Option<FinishedPass> {
-        let state: State = serde_json::from_slice(&std::fs::read(self.state()).ok()?).ok()?;
+        let state: State = serde_json::from_reader(open_kept(&self.state()).ok()?).ok()?;
         let found = read_header(&self.octree(state.pass)).ok()?;
         let is_same = state.fingerprint == self.fingerprint;
         (is_same && found == (state.header, state.octree_bytes)).then_some(FinishedPass {
@@ -90,23 +90,11 @@ impl PassFiles {
             radiance_max: f32::from_bits(state.radiance_max_bits),
         })
     }
-
-    /// Removes all that passes have left.
-    ///
-    /// # Errors
-    ///
-    /// If a file is there and cannot be removed.
-    pub fn remove(&self) -> Result<(), PbgiError> {
-        for path in [self.state(), self.unfinished_state(), self.octree(0), self.octree(1)] {
-            remove(&path)?;
-        }
-        Ok(())
-    }
 }
 
 /// The header of an octree file, and the file's length.
 fn read_header(octree: &Path) -> std::io::Result<(Vec<u8>, u64)> {
-    let mut file = File::open(octree)?;
+    let mut file = open_kept(octree)?;
     let mut header = vec![0; HEADER_BYTES];
     file.read_exact(&mut header)?;
     Ok((header, file.metadata()?.len()))
@@ -146,7 +134,5 @@ mod tests {
         assert_eq!(other.load(), None);
         write(2, 5);
         assert_eq!(files.load(), None, "another octree has the name");
-        files.remove().unwrap();
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 }

@@ -105,7 +105,7 @@ pub(crate) struct Light {
 
 impl Light {
     /// Reads and prepares the environment; its full detail is dropped again.
-    pub fn load(request: &LightRequest, z_up: bool) -> Result<Self, PbgiError> {
+    pub fn load(request: &LightRequest, z_up: bool, memory_limit: u64) -> Result<Self, PbgiError> {
         let up = if z_up { Vec3::Z } else { Vec3::Y };
         let settings = GatherSettings {
             solid_angle_sr: request.solid_angle_sr,
@@ -119,7 +119,7 @@ impl Light {
             let (environment, irradiance_max) = (None, 0.0);
             return Ok(Self { settings, environment, irradiance_max, bounces, share, warnings });
         };
-        let LoadedEnvironment { environment, warnings } = spec.load(z_up)?;
+        let LoadedEnvironment { environment, warnings } = spec.load(z_up, memory_limit)?;
         let irradiance_max = spread_directions(BOUND_DIRECTIONS)
             .flat_map(|direction| environment.irradiance(direction))
             .fold(0.0, f32::max);
@@ -306,7 +306,7 @@ mod tests {
 
     #[test]
     fn bounds_hold_what_an_open_surfel_receives() {
-        let light = Light::load(&uniform([1.0, 2.0, 0.5]), false).unwrap();
+        let light = Light::load(&uniform([1.0, 2.0, 0.5]), false, 1 << 30).unwrap();
         // Under a uniform sky of radiance 2 a white surfel has radiance 2.
         let bound = light.radiance_bound(0.0, 0.0);
         assert!((2.0..4.0).contains(&bound), "{bound}");

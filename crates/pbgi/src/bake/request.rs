@@ -2,11 +2,12 @@
 
 use crate::bake::input::Sampling;
 use crate::bake::relight::LightRequest;
-use crate::cli::output_path::{check_output, folder_of};
+use crate::outputs::{Output, OutputKind, RunFiles, check_writable};
 use crate::shade::LightSource;
 use crate::{PbgiError, cli};
 use pbgi_build::{BuildOptions, PAGE_BYTES_RANGE};
 use pbgi_cloud::CloudOptions;
+use pbgi_file::{FileState, folder_of};
 use pbgi_light::UpAxis;
 use pbgi_scene::TwoSided;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -143,21 +144,42 @@ impl BakeRequest {
                 "--resume cannot tell whether standard input is the same again; bake a file",
             ));
         }
-        check_output(&self.output, self.force, &self.inputs)
+        self.files()?;
+        check_writable(&self.output)
     }
 
-    /// Tells requests apart whose phases give different results: by inputs and environment, their sizes and times, and by all that shapes
-    /// the surfels and their light.
-    pub(crate) fn fingerprint(&self) -> u64 {
-        let mut hasher = DefaultHasher::new();
-        env!("CARGO_PKG_VERSION").hash(&mut hasher);
-        let sky = self.light.environment.as_ref().and_then(|spec| match &spec.source {
+    /// The files that the request names.
+    ///
+    /// # Errors
+    ///
+    /// [`PbgiError::Usage`] if the output is an input, or is not to be replaced.
+    pub fn files(&self) -> Result<RunFiles, PbgiError> {
+        let mut files = RunFiles::default();
+        files.add_named_inputs(&self.inputs)?;
+        if let Some(sky) = self.sky() {
+            files.add_input(sky)?;
+        }
+        let (path, kind, replace) = (&self.output, OutputKind::Octree, self.force);
+        files.add_output(&Output { option: "-o", path, kind, replace })?;
+        Ok(files)
+    }
+
+    /// The image of the environment, if it is one.
+    fn sky(&self) -> Option<&Path> {
+        self.light.environment.as_ref().and_then(|spec| match &spec.source {
             LightSource::File(path) => Some(path.as_path()),
             LightSource::Uniform(_) => None,
-        });
-        for path in self.inputs.iter().map(Path::new).chain(sky) {
-            let facts = std::fs::metadata(path).ok().map(|m| (m.len(), m.modified().ok()));
-            (std::fs::canonicalize(path).ok(), path, facts).hash(&mut hasher);
+        })
+    }
+
+    /// Tells requests apart whose phases give different results: by inputs, the environment and the files that inputs have `referred` to, with
+    /// their states, and by all that shapes the surfels and their light.
+    pub(crate) fn fingerprint(&self, referred: &[PathBuf]) -> u64 {
+        let mut hasher = DefaultHasher::new();
+        env!("CARGO_PKG_VERSION").hash(&mut hasher);
+        let named = self.inputs.iter().map(Path::new).chain(self.sky());
+        for path in named.chain(referred.iter().map(PathBuf::as_path)) {
+            (std::fs::canonicalize(path).ok(), path, FileState::of(path)).hash(&mut hasher);
         }
         let Self { sampling, two_sided, light_scale, cloud, up, normals, light, unlit, .. } = self;
         format!("{sampling:?} {two_sided:?} {light_scale} {cloud:?} {up:?} {normals:?} {light:?} {unlit}")

@@ -2,5 +2,6 @@
 
 pub(crate) mod bake;
 pub(crate) mod disk_space;
+pub(crate) mod reading;
 pub(crate) mod resident;
 pub(crate) mod split;

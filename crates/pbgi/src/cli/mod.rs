@@ -4,6 +4,7 @@ pub(crate) mod output_path;
 pub(crate) mod progress;
 
 use crate::{PbgiError, Progress, ProgressMode, Verbosity};
+use pbgi_file::AtomicFile;
 use pbgi_store::Backend;
 use std::io::{ErrorKind, Write};
 use std::path::Path;
@@ -15,6 +16,12 @@ pub use crate::error::{EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED, EXIT_MISUSED, 
 
 /// Smallest [`CommonArgs::memory_limit`] any tool accepts.
 pub const MEMORY_LIMIT_MIN: u64 = 64 << 20;
+
+/// Most threads per core.
+const THREADS_PER_CORE: usize = 8;
+
+/// Bytes of the memory limit there must be for each thread.
+const THREAD_LIMIT_BYTES: u64 = 8 << 20;
 
 /// Options of every tool.
 #[derive(Clone, Copy, Debug, clap::Args)]
@@ -40,12 +47,15 @@ pub struct CommonArgs {
 }
 
 impl CommonArgs {
-    /// Threads to start, at least 1.
+    /// Threads to start, at least 1: at most a few per core, and so many that each has a small part of the memory limit. More would
+    /// change no result and gain nothing.
     #[must_use]
     pub fn thread_count(&self) -> usize {
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        let affordable = usize::try_from(self.memory_limit / THREAD_LIMIT_BYTES).unwrap_or(1);
         match self.threads {
-            0 => std::thread::available_parallelism().map_or(1, usize::from),
-            threads => threads,
+            0 => cores,
+            threads => threads.min(THREADS_PER_CORE * cores).min(affordable).max(1),
         }
     }
 
@@ -237,10 +247,15 @@ pub fn run(
     match body(&INTERRUPTED) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("{tool}: {error}");
+            tell(&format!("{tool}: {error}"));
             ExitCode::from(error.exit_code())
         }
     }
+}
+
+/// Writes a line to standard error. That nobody reads it, or that it cannot be written, changes nothing.
+pub fn tell(line: &str) {
+    let _ = writeln!(std::io::stderr().lock(), "{line}");
 }
 
 /// Writes `text` to standard output. A reader that has seen enough (`| head`) is no error.
@@ -270,7 +285,9 @@ pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), Pbgi
     if path.as_os_str() == "-" {
         return print(&text);
     }
-    std::fs::write(path, text).map_err(|e| PbgiError::output(path, "write", e))
+    let mut file = AtomicFile::create(path).map_err(|e| PbgiError::output(path, "create", e))?;
+    file.write_all(text.as_bytes()).map_err(|e| PbgiError::output(path, "write", e))?;
+    file.commit().map_err(|e| PbgiError::output(path, e.action, e.source))
 }
 
 /// Lines of labels and values, the values aligned.

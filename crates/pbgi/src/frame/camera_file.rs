@@ -1,11 +1,15 @@
 //! Cameras in files: JSON, and the matrices of EXR images.
 
 use crate::PbgiError;
-use pbgi_image::{AttributeValue, Metadata, read_stored_exr};
+use pbgi_file::read_input;
+use pbgi_image::{AttributeValue, Metadata, read_exr_metadata};
 use pbgi_math::{Affine3A, DMat3, DMat4, DVec3, DVec4, Mat4};
 use pbgi_scene::Camera;
 use serde::Deserialize;
 use std::path::Path;
+
+/// Longest JSON file of a camera in bytes.
+const JSON_BYTES_MAX: u64 = 1 << 20;
 
 /// A camera in world coordinates.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,16 +30,16 @@ impl FileCamera {
     pub fn read(path: &Path) -> Result<Self, PbgiError> {
         let input = |message: String| PbgiError::input(format!("{}: {message}", path.display()));
         if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("exr")) {
-            let (_, metadata) = read_stored_exr(path)?;
+            let metadata = read_exr_metadata(path)?;
             let camera = Self::from_metadata(&metadata).map_err(input)?;
             return camera.ok_or_else(|| {
                 input("no camera: expected an attribute `worldToNDC` or `worldToCamera`".into())
             });
         }
-        let text = std::fs::read_to_string(path)
+        let text = read_input(path, JSON_BYTES_MAX)
             .map_err(|e| PbgiError::input(format!("{}: read failed: {e}", path.display())))?;
         let json: JsonCamera =
-            serde_json::from_str(&text).map_err(|e| input(format!("not a camera: {e}")))?;
+            serde_json::from_slice(&text).map_err(|e| input(format!("not a camera: {e}")))?;
         json.camera().map_err(input)
     }
 

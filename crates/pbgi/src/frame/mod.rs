@@ -134,8 +134,7 @@ impl<'a> FrameJob<'a> {
         let start = Instant::now();
         let settings = &request.settings;
         let header = read_header(request.octree)?;
-        let environment =
-            settings.environment.as_ref().map(|e| e.load(header.flags.z_up)).transpose()?;
+        let environment = settings.load_environment(&header)?;
         let split = MemorySplit::measure(settings);
         let (image, per_row) = frame_bytes(request);
         let frame = image + per_row * u64::from(TILE_ROWS);

@@ -1,6 +1,5 @@
-//! Results on their way into files: channels of a frame, attributes, and outputs tried beforehand.
+//! Results on their way into files: channels of a frame, and attributes.
 
-use crate::PbgiError;
 use crate::frame::band::{Band, Piece};
 use crate::frame::request::FrameRequest;
 use crate::shade::{ShadeReport, ShadeSettings, list_pages};
@@ -14,47 +13,6 @@ use std::path::{Path, PathBuf};
 
 /// Depth written where no surface is: finite, so that compositors can blend it.
 const DEPTH_OF_NOTHING: f32 = 1e10;
-
-/// Makes sure that `path` can be written before long work is done for it: a temporary file is made in
-/// its folder and removed.
-///
-/// # Errors
-///
-/// [`PbgiError::Usage`] if `path` is a folder or lies in none; [`PbgiError::Output`] if the folder
-/// cannot be written.
-pub fn check_writable(path: &Path) -> Result<(), PbgiError> {
-    if path.is_dir() {
-        return Err(PbgiError::usage(format!(
-            "{} is a folder; name a file to write",
-            path.display()
-        )));
-    }
-    let folder = match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
-    // Devices and pipes are written in place.
-    if path.exists() && !path.is_file() {
-        return Ok(());
-    }
-    tempfile::Builder::new()
-        .prefix(".pbgi-")
-        .tempfile_in(folder)
-        .map(drop)
-        .map_err(|source| PbgiError::output(path, "create", source))
-}
-
-/// Refuses to overwrite `path` unless `force` is given.
-///
-/// # Errors
-///
-/// [`PbgiError::Usage`] if the file exists.
-pub fn refuse_to_overwrite(path: &Path, force: bool) -> Result<(), PbgiError> {
-    if force || !path.exists() {
-        return Ok(());
-    }
-    Err(PbgiError::usage(format!("{} exists already; add --force to overwrite it", path.display())))
-}
 
 /// Averaged over the samples of a pixel: beauty, reflected indirect light, irradiance, albedo,
 /// occlusion, sky visibility, what is reflected glossily.

@@ -78,11 +78,11 @@ pub fn shade_gbuffer(
         )));
     }
     let header = read_header(request.octree)?;
-    let environment =
-        settings.environment.as_ref().map(|e| e.load(header.flags.z_up)).transpose()?;
+    let environment = settings.load_environment(&header)?;
     let eye = find_eye(request, &header)?;
+    let limit = settings.memory_bytes;
     let gbuffer =
-        GBuffer::read(request.gbuffer, request.space, &request.names, header.origin, eye)?;
+        GBuffer::read(request.gbuffer, request.space, &request.names, header.origin, eye, limit)?;
     if gbuffer.pixels.is_empty() {
         return Err(PbgiError::input(format!(
             "{}: no pixel shows a surface: alpha or normal are 0 everywhere",

@@ -1,11 +1,12 @@
 //! Surfaces in the pixels of a G-buffer: what renderers write beside their pictures.
 
 use crate::PbgiError;
+use crate::budget::reading::read_within;
 use crate::frame::camera_file::FileCamera;
 use pbgi_cloud::{ReceiverColumn, ReceiverTable};
 use pbgi_image::{
     Aov, AovNames, AttributeValue, ImageWindow, Metadata, StoredChannel, StoredImage,
-    read_stored_exr,
+    read_stored_exr_within,
 };
 use pbgi_math::{DMat4, DVec3, Vec3};
 use std::path::Path;
@@ -19,6 +20,12 @@ pub enum GBufferSpace {
     /// The camera: RenderMan's `P` and `Nn`. The file's `worldToCamera` leads back.
     Camera,
 }
+
+/// Bytes a pixel takes while its channels are floats: position, normal, alpha, view, six properties.
+const PLANES_BYTES: u64 = 4 * (3 + 3 + 1 + 3 + 6);
+
+/// Bytes of a pixel's surface: position, normal, pixel, alpha, nine columns.
+const SURFACE_BYTES: u64 = 4 * (3 + 3 + 1 + 1 + 9);
 
 /// A G-buffer, read.
 pub(crate) struct GBuffer {
@@ -62,9 +69,12 @@ impl GBuffer {
         names: &AovNames,
         origin: DVec3,
         eye: Option<DVec3>,
+        memory_limit: u64,
     ) -> Result<Self, PbgiError> {
         let input = |message: String| PbgiError::input(format!("{}: {message}", path.display()));
-        let (stored, metadata) = read_stored_exr(path)?;
+        let (stored, metadata) = read_within(memory_limit, |allowance| {
+            read_stored_exr_within(path, allowance, PLANES_BYTES + SURFACE_BYTES)
+        })?;
         let (width, height) = (stored.width, stored.height);
         if u32::try_from(width * height).is_err() {
             return Err(input(format!("{width} x {height} pixels, expected less than 2³²")));
@@ -238,7 +248,7 @@ mod tests {
     }
 
     fn read(path: &Path, space: GBufferSpace) -> Result<GBuffer, PbgiError> {
-        GBuffer::read(path, space, &AovNames::default(), ORIGIN, None)
+        GBuffer::read(path, space, &AovNames::default(), ORIGIN, None, 1 << 30)
     }
 
     #[test]

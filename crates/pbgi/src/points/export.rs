@@ -3,9 +3,9 @@
 use crate::PbgiError;
 use crate::bake::relight::check_canceled;
 use crate::budget::bake::reader_cache_bytes;
-use crate::cli::output_path::check_output;
 use crate::cli::progress::{Progress, format_count};
 use crate::inspect::open;
+use crate::outputs::{Output, OutputKind, RunFiles, check_writable};
 use pbgi_cloud::{PlyWriter, PtcPoint, PtcWriter};
 use pbgi_format::{Channels, Header, LeafSurfel};
 use pbgi_math::{DVec3, Vec3};
@@ -35,7 +35,11 @@ pub fn export_points(
     progress: &Progress,
     cancel: &AtomicBool,
 ) -> Result<u64, PbgiError> {
-    check_output(output, force, &[path.display().to_string()])?;
+    let mut files = RunFiles::default();
+    files.add_input(path)?;
+    let kind = OutputKind::Points;
+    files.add_output(&Output { option: "--points", path: output, kind, replace: force })?;
+    check_writable(output)?;
     let octree = open(path, reader_cache_bytes(memory_limit))?;
     let header = octree.header();
     let mut export = Export::create(output, header)?;

@@ -9,18 +9,20 @@ pub(crate) mod scatter;
 pub(crate) mod table_receivers;
 
 use crate::budget::split::MemorySplit;
-use crate::cli::output_path::{check_suffix, folder_of};
+use crate::cli::output_path::check_suffix;
+use crate::outputs::{Output, OutputKind, RunFiles};
 use crate::points::results::ResultWriter;
 use crate::points::rows::PointRows;
 use crate::points::scan::{ScanReader, is_scan, is_scan_name};
 use crate::points::table_receivers::{RowRules, TableReceivers, no_eye};
 use crate::shade::target::spread;
 use crate::shade::{
-    CHUNK_RECEIVERS, Session, ShadeReport, ShadeSettings, chunk_bytes, gloss_toward, read_header,
-    up_axis,
+    CHUNK_RECEIVERS, LightSource, Session, ShadeReport, ShadeSettings, chunk_bytes, gloss_toward,
+    read_header, up_axis,
 };
 use crate::{PbgiError, Progress};
 use pbgi_cloud::ReceiverTable;
+use pbgi_file::folder_of;
 use pbgi_format::LeafSurfel;
 use pbgi_gather::{Material, Receiver};
 use pbgi_math::{DVec3, Vec3};
@@ -56,6 +58,24 @@ pub struct PointsRequest<'a> {
     pub settings: ShadeSettings,
 }
 
+impl PointsRequest<'_> {
+    /// Refuses a target that is an input, or a file of another kind.
+    fn check_files(&self) -> Result<(), PbgiError> {
+        let mut files = RunFiles::default();
+        files.add_input(self.octree)?;
+        if let PointSource::File(path) = &self.source {
+            files.add_input(path)?;
+        }
+        if let Some(LightSource::File(path)) =
+            self.settings.environment.as_ref().map(|spec| &spec.source)
+        {
+            files.add_input(path)?;
+        }
+        let (path, kind) = (self.target, OutputKind::Points);
+        files.add_output(&Output { option: "-o", path, kind, replace: true })
+    }
+}
+
 /// Bytes of a surfel beside its receiver until it is written: radius, area, albedo.
 const SURFEL_BYTES: usize = size_of::<[f32; 5]>();
 /// Bytes of a row beside its receiver: position, normal, and each column.
@@ -83,9 +103,9 @@ pub fn shade_points(
     let settings = &request.settings;
     settings.validate()?;
     check_suffix(request.target, &["ply", "npy", "csv", "las", "laz"], "tables")?;
+    request.check_files()?;
     let header = read_header(request.octree)?;
-    let environment =
-        settings.environment.as_ref().map(|e| e.load(header.flags.z_up)).transpose()?;
+    let environment = settings.load_environment(&header)?;
     let mut rows = open_rows(request, up_axis(&header), progress, cancel)?;
     let origin = rows.as_ref().map_or(header.origin, PointRows::origin);
     if rows.is_none() && settings.gloss.is_some() && request.eye.is_none() {

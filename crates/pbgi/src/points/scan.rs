@@ -6,11 +6,11 @@ use crate::{PbgiError, Progress};
 use pbgi_cloud::{
     CloudError, LAS_MAGIC, LasPlaces, LasSurvey, ReceiverTable, Surfel, SurfelSource,
 };
+use pbgi_file::open_input;
 use pbgi_math::{DVec3, Vec3, decode_octahedral24};
 use pbgi_sort::{
     BUDGET_BYTES_MIN, EstimateOptions, SortOptions, SortProgress, estimate_surfels, sort_surfels,
 };
-use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
@@ -31,7 +31,7 @@ const NO_NORMAL: u32 = u32::MAX;
 ///
 /// If the file cannot be read.
 pub(crate) fn is_scan(path: &Path) -> Result<bool, PbgiError> {
-    let file = File::open(path).map_err(|e| CloudError::io(path, "open", e))?;
+    let file = open_input(path).map_err(|e| CloudError::io(path, "open", e))?;
     let mut start = Vec::new();
     file.take(4).read_to_end(&mut start).map_err(|e| CloudError::io(path, "read", e))?;
     Ok(start == LAS_MAGIC)

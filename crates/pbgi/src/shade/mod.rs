@@ -6,6 +6,7 @@ pub(crate) mod statistics;
 pub(crate) mod target;
 
 use crate::PbgiError;
+use crate::budget::reading::read_within;
 use crate::budget::split::MemorySplit;
 use crate::cli::progress::{Progress, format_bytes, format_count, format_seconds};
 use crate::shade::check::{AloneReport, CheckReport, CheckSample};
@@ -15,7 +16,7 @@ use pbgi_format::{Channels, Header};
 use pbgi_gather::{
     GatherParts, GatherSettings, Gloss, ImportanceTerms, Material, PreparedLight, Receiver, Shading,
 };
-use pbgi_image::read_environment_noting;
+use pbgi_image::read_environment_noting_within;
 use pbgi_light::{Environment, EnvironmentOptions, UpAxis};
 use pbgi_math::Vec3;
 use pbgi_schedule::{
@@ -89,13 +90,13 @@ impl EnvironmentSpec {
         Self { source: LightSource::File(path.into()), rotate_degrees: 0.0, scale: 1.0 }
     }
 
-    /// Reads and prepares the environment. `z_up` is the octree header's flag.
+    /// Reads and prepares the environment. `z_up` is the octree header's flag; an image that `memory_limit` does not hold is refused.
     ///
     /// # Errors
     ///
     /// If the image cannot be read, is not equirectangular, or has a negative or non-finite pixel; if a
     /// uniform color, the rotation or the scale is out of range.
-    pub fn load(&self, z_up: bool) -> Result<LoadedEnvironment, PbgiError> {
+    pub fn load(&self, z_up: bool, memory_limit: u64) -> Result<LoadedEnvironment, PbgiError> {
         match &self.source {
             LightSource::Uniform(rgb) => {
                 let radiance = rgb.map(|c| c * self.scale);
@@ -109,7 +110,9 @@ impl EnvironmentSpec {
                 )))
             }
             LightSource::File(path) => {
-                let read = read_environment_noting(path)?;
+                let read = read_within(memory_limit, |allowance| {
+                    read_environment_noting_within(path, allowance)
+                })?;
                 let named = |warning| format!("{}: {warning}", path.display());
                 let warnings = read.warnings.into_iter().map(named).collect();
                 let options = EnvironmentOptions {
@@ -256,6 +259,15 @@ impl ShadeSettings {
         self.gloss.map_or(Ok(()), |gloss| gloss.check())
     }
 
+    /// The distant light, read within the memory limit.
+    pub(crate) fn load_environment(
+        &self,
+        header: &Header,
+    ) -> Result<Option<LoadedEnvironment>, PbgiError> {
+        let load = |spec: &EnvironmentSpec| spec.load(header.flags.z_up, self.memory_bytes);
+        self.environment.as_ref().map(load).transpose()
+    }
+
     fn gather(&self, header: &Header) -> GatherSettings {
         GatherSettings {
             solid_angle_sr: self.solid_angle_sr,
@@ -278,11 +290,9 @@ pub(crate) fn up_axis(header: &Header) -> Vec3 {
     if header.flags.z_up { Vec3::Z } else { Vec3::Y }
 }
 
-/// Opens a file as far as its header and page table and returns the header.
+/// Reads the header of a file.
 pub(crate) fn read_header(path: &Path) -> Result<Header, PbgiError> {
-    // Nothing is read into the cache, so its size is of no consequence.
-    let options = OpenOptions { cache_bytes: 1 << 40, ..OpenOptions::default() };
-    Ok(*Octree::open(path, &options)?.header())
+    Ok(Octree::read_header(path)?)
 }
 
 /// An open octree under its light, and counts of what has been shaded.
@@ -442,6 +452,7 @@ impl<'a> Session<'a> {
                 chunks.try_for_each(|chunk| feed.push(Cow::Borrowed(chunk), ()))
             },
             |chunk| {
+                check_finite(chunk.receivers, &chunk.shadings)?;
                 shadings.extend(chunk.shadings);
                 Ok(())
             },
@@ -462,6 +473,7 @@ impl<'a> Session<'a> {
         let Self { octree, light, sample, done, .. } = self;
         let report =
             shade_stream(octree, light.as_ref(), &options, fill, |chunk: Shaded<'_, T>| {
+                check_finite(chunk.receivers, &chunk.shadings)?;
                 sample.offer_all(chunk.receivers, None, &chunk.shadings);
                 take(chunk)
             })?;
@@ -573,6 +585,25 @@ impl<'a> Session<'a> {
                 Ok(None)
             }
         }
+    }
+}
+
+/// Refuses results that are no numbers: they never reach an output.
+fn check_finite(receivers: &[Receiver], shadings: &[Shading]) -> Result<(), PbgiError> {
+    let is_bad = |shading: &Shading| {
+        let sums = shading.irradiance().iter().chain(&shading.reflected).sum::<f32>()
+            + shading.ambient_occlusion
+            + shading.sky_visibility
+            + shading.bent_normal.element_sum();
+        !sums.is_finite()
+    };
+    match shadings.iter().position(is_bad) {
+        None => Ok(()),
+        Some(index) => Err(PbgiError::input(format!(
+            "the light at {} (relative to the octree's origin) is no number: octree, receivers or environment have sizes or radiances out \
+             of range; check the octree with pbgi-info --verify, and scale the scene or its light",
+            receivers[index].position
+        ))),
     }
 }
 

@@ -1,9 +1,9 @@
 //! Checked reading of accessors: every range is verified before a byte is touched.
 
+use super::container::Buffer;
 use gltf::json::accessor::{Accessor, ComponentType, Type};
 use gltf::json::validation::Checked;
 use gltf::json::{Index, Root};
-use std::borrow::Cow;
 
 /// Most bytes of an accessor without a buffer view, which no file size bounds.
 const ZEROS_BYTES_MAX: usize = 1 << 30;
@@ -12,7 +12,7 @@ const ZEROS_BYTES_MAX: usize = 1 << 30;
 #[derive(Clone, Copy)]
 pub(super) struct Accessors<'a> {
     pub root: &'a Root,
-    pub buffers: &'a [Cow<'a, [u8]>],
+    pub buffers: &'a [Buffer<'a>],
 }
 
 /// The elements of an accessor, packed without gaps, sparse values put in their places.

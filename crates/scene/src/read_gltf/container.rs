@@ -2,8 +2,10 @@
 
 use crate::SceneError;
 use crate::find_file::find_file;
-use std::borrow::Cow;
+use crate::resources::Resources;
+use std::ops::Deref;
 use std::path::Path;
+use std::sync::Arc;
 
 const CURE_GLTF_1: &str = "convert it to glTF 2.0";
 
@@ -63,15 +65,23 @@ pub(super) fn split<'a>(
 
 /// What a URI of the file at `path` points to: a data URI or a file beside it. `place` is for
 /// messages.
-pub(super) fn resolve_uri(path: &Path, place: &str, uri: &str) -> Result<Vec<u8>, SceneError> {
+pub(super) fn resolve_uri(
+    path: &Path,
+    place: &str,
+    uri: &str,
+    resources: &Resources,
+) -> Result<Arc<[u8]>, SceneError> {
     let malformed = |message: &str| SceneError::malformed(path, format!("{place}: {message}"));
     if let Some(data) = uri.strip_prefix("data:") {
         let (kind, data) =
             data.split_once(',').ok_or_else(|| malformed("data uri without a comma"))?;
-        if !kind.ends_with(";base64") {
-            return decode_percent(data).ok_or_else(|| malformed("bad %-escape in a data uri"));
-        }
-        return decode_base64(data).ok_or_else(|| malformed("data uri is not valid base64"));
+        resources.take(path, data.len() as u64)?;
+        let bytes = if kind.ends_with(";base64") {
+            decode_base64(data).ok_or_else(|| malformed("data uri is not valid base64"))
+        } else {
+            decode_percent(data).ok_or_else(|| malformed("bad %-escape in a data uri"))
+        };
+        return Ok(bytes?.into());
     }
     if uri.contains("://") {
         let cure = "download it, put it beside the file and refer to it by name";
@@ -85,7 +95,26 @@ pub(super) fn resolve_uri(path: &Path, place: &str, uri: &str) -> Result<Vec<u8>
         let source = std::io::Error::new(std::io::ErrorKind::NotFound, "there is no such file");
         SceneError::io(&file, "read", source)
     })?;
-    std::fs::read(&file).map_err(|e| SceneError::io(&file, "read", e))
+    resources.read_referred(&file)
+}
+
+/// The bytes of a buffer.
+pub(super) enum Buffer<'a> {
+    /// A chunk of the scene's own file.
+    Chunk(&'a [u8]),
+    /// Read from elsewhere; several buffers may have one file.
+    Read(Arc<[u8]>),
+}
+
+impl Deref for Buffer<'_> {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        match self {
+            Self::Chunk(bytes) => bytes,
+            Self::Read(bytes) => bytes,
+        }
+    }
 }
 
 /// Loads all buffers; each is at least as long as its `byteLength`.
@@ -93,15 +122,18 @@ pub(super) fn load_buffers<'a>(
     path: &Path,
     root: &gltf::json::Root,
     binary: Option<&'a [u8]>,
-) -> Result<Vec<Cow<'a, [u8]>>, SceneError> {
+    resources: &Resources,
+) -> Result<Vec<Buffer<'a>>, SceneError> {
     let load = |(i, buffer): (usize, &gltf::json::Buffer)| {
         // What nothing refers to need not be there.
         if root.buffer_views.iter().all(|view| view.buffer.value() != i) {
-            return Ok(Cow::Borrowed(&[][..]));
+            return Ok(Buffer::Chunk(&[]));
         }
         let data = match (&buffer.uri, binary) {
-            (Some(uri), _) => Cow::Owned(resolve_uri(path, &format!("buffer {i}"), uri)?),
-            (None, Some(binary)) if i == 0 => Cow::Borrowed(binary),
+            (Some(uri), _) => {
+                Buffer::Read(resolve_uri(path, &format!("buffer {i}"), uri, resources)?)
+            }
+            (None, Some(binary)) if i == 0 => Buffer::Chunk(binary),
             (None, _) => {
                 let message = format!("buffer {i} has neither a uri nor a glb chunk");
                 return Err(SceneError::malformed(path, message));

@@ -1,14 +1,17 @@
 //! Materials and their textures.
 
 use super::accessor::Accessors;
-use super::container::resolve_uri;
+use super::container::{Buffer, resolve_uri};
 use super::prepare::Extras;
-use crate::decode_texture::decode_image;
+use crate::decode_texture::{TextureSize, decode_image, texels_of};
+use crate::resources::{Resources, is_lack_of_memory};
 use crate::{Material, Scene, SceneError, Texture, Wrap};
+use gltf::json::Root;
 use gltf::material::AlphaMode;
 use gltf::texture::WrappingMode;
 use pbgi_math::Vec2;
 use rayon::prelude::*;
+use std::collections::HashMap;
 use std::path::Path;
 
 /// Which texture coordinates the textures of a material use, and how they are transformed.
@@ -41,8 +44,9 @@ struct TextureKey {
 }
 
 impl TextureKey {
-    fn new(info: &gltf::texture::Info, keeps_alpha: bool, srgb: bool) -> Self {
-        let (image, sampler) = (info.texture().source().index(), info.texture().sampler());
+    fn new(info: &gltf::texture::Info, firsts: &[usize], keeps_alpha: bool, srgb: bool) -> Self {
+        let image = firsts[info.texture().source().index()];
+        let sampler = info.texture().sampler();
         let wrap = [sampler.wrap_s(), sampler.wrap_t()].map(|mode| match mode {
             WrappingMode::Repeat => Wrap::Repeat,
             WrappingMode::ClampToEdge => Wrap::Clamp,
@@ -78,8 +82,9 @@ pub(super) fn read_materials(
     document: &gltf::Document,
     accessors: Accessors,
     extras: &Extras,
+    resources: &Resources,
 ) -> Result<Materials, SceneError> {
-    let mut keys = Vec::new();
+    let mut keys = Keys { firsts: first_of_equals(accessors.root, extras), keys: Vec::new() };
     let mut result = Materials {
         materials: vec![],
         textures: vec![],
@@ -96,8 +101,8 @@ pub(super) fn read_materials(
         result.materials.push(material);
         result.uv_sources.push(uv_source);
     }
-    let decode = |key: &TextureKey| read_texture(path, accessors, extras, *key);
-    let textures: Vec<Option<Result<Texture, String>>> = keys.par_iter().map(decode).collect();
+    let source = Source { path, accessors, extras, resources };
+    let textures = source.decode_all(&keys.keys)?;
     // Where each went.
     let mut places = Vec::new();
     for texture in textures {
@@ -114,7 +119,9 @@ pub(super) fn read_materials(
         }));
     }
     let place = |key: Option<u32>| key.and_then(|key| places[key as usize]);
-    let metal_maps = document.materials().map(|m| metallic_roughness_key(&m)).collect::<Vec<_>>();
+    let metal_maps =
+        document.materials().map(|m| metallic_roughness_key(&m, &keys.firsts)).collect::<Vec<_>>();
+    let mut known = HashMap::new();
     for (material, key) in result.materials.iter_mut().zip(metal_maps) {
         material.base_color_texture = place(material.base_color_texture);
         let glow = place(material.emission_texture);
@@ -124,15 +131,22 @@ pub(super) fn read_materials(
         material.emission_texture = glow;
         let Some(key) = key else { continue };
         let name = &material.name;
-        result.warnings.push(match decode(&key) {
-            Some(Ok(texture)) => {
+        let means = match known.get(&key.image) {
+            Some(means) => means,
+            None => {
+                let means = source.find_means(key)?;
+                known.entry(key.image).or_insert(means)
+            }
+        };
+        result.warnings.push(match means {
+            Some(Ok(means)) => {
                 let text = "has a metallic-roughness texture; its mean is used";
                 let text = format!("material {name} {text}");
-                apply_metallic_roughness(&texture, material);
+                apply_metallic_roughness(*means, material);
                 text
             }
             found => {
-                let why = found.map_or(String::new(), |e| e.err().unwrap_or_default());
+                let why = found.as_ref().and_then(|e| e.as_ref().err()).map_or("", String::as_str);
                 let text =
                     "has a metallic-roughness texture that is not read; it is taken for no metal";
                 let text = format!("material {name} {text}. {why}");
@@ -193,7 +207,7 @@ impl Materials {
 
 fn read_material(
     material: &gltf::Material,
-    keys: &mut Vec<TextureKey>,
+    keys: &mut Keys,
     warnings: &mut Vec<String>,
 ) -> (Material, Option<UvSource>) {
     let number = material.index().unwrap_or_default();
@@ -211,11 +225,11 @@ fn read_material(
     // The factor belongs to the alpha; our cutoff is compared with that of the texture alone.
     let alpha_cutoff = cutoff.map(|c| if alpha > 0.0 { c / alpha } else { f32::INFINITY });
     let mut add_texture = |info: &gltf::texture::Info, keeps_alpha| {
-        let key = TextureKey::new(info, keeps_alpha, true);
-        let place = keys.iter().position(|k| *k == key);
+        let key = TextureKey::new(info, &keys.firsts, keeps_alpha, true);
+        let place = keys.keys.iter().position(|k| *k == key);
         place.unwrap_or_else(|| {
-            keys.push(key);
-            keys.len() - 1
+            keys.keys.push(key);
+            keys.keys.len() - 1
         }) as u32
     };
     let (base, glow) = (pbr.base_color_texture(), material.emissive_texture());
@@ -251,14 +265,19 @@ fn read_specular(material: &gltf::Material) -> f32 {
     if reflectance.is_finite() { (reflectance / 0.08).clamp(0.0, 1.0) } else { 0.5 }
 }
 
-fn metallic_roughness_key(material: &gltf::Material) -> Option<TextureKey> {
+fn metallic_roughness_key(material: &gltf::Material, firsts: &[usize]) -> Option<TextureKey> {
     let info = material.pbr_metallic_roughness().metallic_roughness_texture()?;
-    Some(TextureKey::new(&info, false, false))
+    Some(TextureKey::new(&info, firsts, false, false))
 }
 
-/// Multiplies the factors by the texture's means: roughness in green, metalness in blue.
-fn apply_metallic_roughness(texture: &Texture, material: &mut Material) {
+/// Means of roughness, in green, and metalness, in blue.
+fn metallic_roughness_means(texture: &Texture) -> [f32; 2] {
     let [_, roughness, metallic, _] = texture.sample_level(Vec2::splat(0.5), f32::INFINITY);
+    [roughness, metallic]
+}
+
+/// Multiplies the factors by the texture's means.
+fn apply_metallic_roughness([roughness, metallic]: [f32; 2], material: &mut Material) {
     material.roughness *= roughness;
     material.metallic *= metallic;
 }
@@ -272,36 +291,133 @@ fn drop_needless_cutoff(material: &mut Material, textures: &[Texture], vertex_mi
     }
 }
 
-/// Reads and decodes a texture. `None` where a warning tells of its image already; the error is one.
-fn read_texture(
-    path: &Path,
-    accessors: Accessors,
-    extras: &Extras,
-    key: TextureKey,
-) -> Option<Result<Texture, String>> {
-    if key.image >= extras.image_count {
-        return None;
-    }
-    let named = |e: String| format!("image {} is left out: {e}", key.image);
-    Some(decode(path, accessors, key).map_err(named))
+/// The textures asked for so far.
+struct Keys {
+    /// Of each image the first with the same content.
+    firsts: Vec<usize>,
+    keys: Vec<TextureKey>,
 }
 
-fn decode(path: &Path, accessors: Accessors, key: TextureKey) -> Result<Texture, String> {
-    let image = accessors.root.images.get(key.image).ok_or("there is no such image")?;
-    let owned;
-    let (name, bytes) = match (&image.buffer_view, &image.uri) {
-        (Some(view), _) => ("", accessors.view(view.value())?),
-        (None, Some(uri)) => {
-            let place = format!("image {}", key.image);
-            owned = resolve_uri(path, &place, uri).map_err(|e| e.to_string())?;
-            (if uri.starts_with("data:") { "" } else { uri.as_str() }, owned.as_slice())
-        }
-        (None, None) => return Err("it has neither a buffer view nor a uri".into()),
+/// Of each image the first that names the same file, or the same part of a buffer: it is decoded once.
+fn first_of_equals(root: &Root, extras: &Extras) -> Vec<usize> {
+    let mut firsts = HashMap::new();
+    let source =
+        |image: &gltf::json::Image| (image.buffer_view.map(|view| view.value()), image.uri.clone());
+    let first = |(index, image)| match index < extras.image_count {
+        true => *firsts.entry(source(image)).or_insert(index),
+        false => index,
     };
-    let decoded = decode_image(name, bytes)?;
-    let (width, height) = decoded.dimensions();
-    let opaque = |[r, g, b, a]: [u8; 4]| [r, g, b, if key.keeps_alpha { a } else { 255 }];
-    let texels = decoded.pixels().map(|p| opaque(p.0)).collect();
-    let texture = Texture::new(width, height, texels, key.srgb).ok_or("it has no pixels")?;
-    Ok(texture.with_wrap(key.wrap))
+    root.images.iter().enumerate().map(first).collect()
+}
+
+/// An image whose header is read.
+struct Image<'a> {
+    key: TextureKey,
+    /// Empty where the bytes alone tell its kind.
+    name: &'a str,
+    bytes: Buffer<'a>,
+    size: TextureSize,
+}
+
+impl Image<'_> {
+    fn decode(&self) -> Result<Texture, String> {
+        let decoded = decode_image(self.name, &self.bytes)?;
+        let (width, height) = decoded.dimensions();
+        let mut texels = texels_of(decoded);
+        if !self.key.keeps_alpha {
+            texels.iter_mut().for_each(|texel| texel[3] = 255);
+        }
+        let texture =
+            Texture::new(width, height, texels, self.key.srgb).ok_or("it has no pixels")?;
+        Ok(texture.with_wrap(self.key.wrap))
+    }
+}
+
+/// What may be missing. `None` where a warning tells of its image already; the error is one.
+type Found<T> = Option<Result<T, String>>;
+
+/// Where images come from.
+#[derive(Clone, Copy)]
+struct Source<'a> {
+    path: &'a Path,
+    accessors: Accessors<'a>,
+    extras: &'a Extras,
+    resources: &'a Resources<'a>,
+}
+
+fn left_out(key: TextureKey, why: &str) -> String {
+    format!("image {} is left out: {why}", key.image)
+}
+
+impl<'a> Source<'a> {
+    /// Finds an image and reads its header; lack of memory alone fails the scene.
+    fn find(&self, key: TextureKey) -> Result<Found<Image<'a>>, SceneError> {
+        if key.image >= self.extras.image_count {
+            return Ok(None);
+        }
+        match self.open(key) {
+            Err(error) if is_lack_of_memory(&error) => Err(error),
+            Err(error) => Ok(Some(Err(left_out(key, &error.to_string())))),
+            Ok(opened) => {
+                let image = opened.and_then(|(name, bytes)| {
+                    let size = TextureSize::of(name, &bytes)?;
+                    Ok(Image { key, name, bytes, size })
+                });
+                Ok(Some(image.map_err(|why| left_out(key, &why))))
+            }
+        }
+    }
+
+    /// Name and bytes of an image.
+    fn open(&self, key: TextureKey) -> Result<Result<(&'a str, Buffer<'a>), String>, SceneError> {
+        let Some(image) = self.accessors.root.images.get(key.image) else {
+            return Ok(Err("there is no such image".into()));
+        };
+        Ok(match (&image.buffer_view, &image.uri) {
+            (Some(view), _) => {
+                self.accessors.view(view.value()).map(|bytes| ("", Buffer::Chunk(bytes)))
+            }
+            (None, Some(uri)) => {
+                let place = format!("image {}", key.image);
+                let bytes = resolve_uri(self.path, &place, uri, self.resources)?;
+                let name = if uri.starts_with("data:") { "" } else { uri.as_str() };
+                Ok((name, Buffer::Read(bytes)))
+            }
+            (None, None) => Err("it has neither a buffer view nor a uri".into()),
+        })
+    }
+
+    /// Decodes images, at once as far as memory allows. All their sizes are known, and counted, before the first is decoded.
+    fn decode_all(&self, keys: &[TextureKey]) -> Result<Vec<Found<Texture>>, SceneError> {
+        let images: Vec<Found<Image>> =
+            keys.iter().map(|key| self.find(*key)).collect::<Result<_, _>>()?;
+        let sizes = || images.iter().flatten().flatten().map(|image| image.size);
+        let (path, resources) = (self.path, self.resources);
+        let held = sizes().map(TextureSize::held_bytes).fold(0, u64::saturating_add);
+        resources.take(path, held)?;
+        let largest = sizes().map(TextureSize::decoding_bytes).max().unwrap_or(0);
+        resources.check(path, largest)?;
+        let decode = |found: Found<Image>| {
+            let decode = |image: Image| image.decode().map_err(|why| left_out(image.key, &why));
+            found.map(|image| image.and_then(decode))
+        };
+        let at_once = largest.saturating_mul(rayon::current_num_threads() as u64);
+        Ok(match resources.check(path, at_once) {
+            Ok(()) => images.into_par_iter().map(decode).collect(),
+            Err(_) => images.into_iter().map(decode).collect(),
+        })
+    }
+
+    /// Decodes an image for its means only.
+    fn find_means(&self, key: TextureKey) -> Result<Found<[f32; 2]>, SceneError> {
+        let image = match self.find(key)? {
+            Some(Ok(image)) => image,
+            Some(Err(why)) => return Ok(Some(Err(why))),
+            None => return Ok(None),
+        };
+        let needed = image.size.decoding_bytes().saturating_add(image.size.held_bytes());
+        self.resources.check(self.path, needed)?;
+        let means = image.decode().map(|texture| metallic_roughness_means(&texture));
+        Ok(Some(means.map_err(|why| left_out(key, &why))))
+    }
 }

@@ -9,7 +9,8 @@ mod mesh;
 mod prepare;
 mod skin;
 
-use crate::{Camera, Instance, Scene, SceneError};
+use crate::resources::Resources;
+use crate::{Camera, Instance, Mesh, Scene, SceneError};
 use accessor::Accessors;
 use gltf::json::Root;
 use gltf::json::camera::Type as CameraType;
@@ -27,26 +28,29 @@ use std::path::Path;
 ///
 /// Skins and morph targets are posed as the file stands; animations are not played. Directional lights are left out. Candela and nits
 /// are taken as W·sr⁻¹ and W·m⁻²·sr⁻¹.
-pub(crate) fn read_gltf(path: &Path) -> Result<Scene, SceneError> {
-    let file = std::fs::read(path).map_err(|e| SceneError::io(path, "read", e))?;
-    parse_gltf(path, &file)
+pub(crate) fn read_gltf(path: &Path, resources: &Resources) -> Result<Scene, SceneError> {
+    parse_gltf(path, &resources.read(path)?, resources)
 }
 
 /// As [`read_gltf`], from the bytes of the file; `path` serves messages and files beside it.
-fn parse_gltf(path: &Path, file: &[u8]) -> Result<Scene, SceneError> {
+fn parse_gltf(path: &Path, file: &[u8], resources: &Resources) -> Result<Scene, SceneError> {
     let (json, binary) = container::split(path, file)?;
+    let fields = json.iter().filter(|byte| matches!(byte, b',' | b'{' | b'[')).count() as u64;
+    resources.take(path, json.len() as u64 + FIELD_BYTES * fields)?;
+    // It is values of any kind before it is a document.
+    resources.check(path, json.len() as u64 + VALUE_BYTES * fields)?;
     let mut warnings = Vec::new();
     let (root, extras) = prepare::prepare(path, json, &mut warnings)?;
     validate(path, &root)?;
     let document = gltf::Document::from_json_without_validation(root);
     let root = document.as_json();
-    let buffers = container::load_buffers(path, root, binary)?;
+    let buffers = container::load_buffers(path, root, binary, resources)?;
     let accessors = Accessors { root, buffers: &buffers };
-    let mut materials = material::read_materials(path, &document, accessors, &extras)?;
+    let mut materials = material::read_materials(path, &document, accessors, &extras, resources)?;
     warnings.append(&mut materials.warnings);
     let scene = Scene { warnings, ..Scene::default() };
-    let reader =
-        Reader { path, document: &document, accessors, extras, materials, scene, shared: vec![] };
+    let (document, shared) = (&document, vec![]);
+    let reader = Reader { path, document, accessors, resources, extras, materials, scene, shared };
     reader.read()
 }
 
@@ -87,6 +91,7 @@ struct Reader<'a> {
     path: &'a Path,
     document: &'a gltf::Document,
     accessors: Accessors<'a>,
+    resources: &'a Resources<'a>,
     extras: Extras,
     materials: Materials,
     scene: Scene,
@@ -115,6 +120,8 @@ impl Reader<'_> {
         let mut indices = Vec::new();
         for primitive in mesh.primitives() {
             let place = describe_primitive(mesh, &primitive);
+            self.resources.take(self.path, primitive_bytes(&primitive))?;
+            self.resources.check(self.path, posing_bytes(&primitive))?;
             let read = self
                 .read_primitive(&primitive, weights, skin)
                 .map_err(|e| SceneError::malformed(self.path, format!("{place}: {e}")))?;
@@ -224,10 +231,14 @@ impl Reader<'_> {
         };
         let transforms = match self.extras.instances.get(&node.index()) {
             Some(attributes) => {
+                let count = attributes.count(self.accessors);
+                self.resources.check(path, TRANSFORM_BYTES.saturating_mul(count))?;
                 instancing::read_transforms(attributes, self.accessors).map_err(in_node)?
             }
             None => vec![Affine3A::IDENTITY],
         };
+        let count = transforms.len() as u64 * meshes.len() as u64;
+        self.resources.take(path, INSTANCE_BYTES * count)?;
         for own in transforms {
             let transform = transform * own;
             if !transform.is_finite() {
@@ -238,6 +249,47 @@ impl Reader<'_> {
         Ok(())
     }
 }
+
+/// Bytes a field of JSON takes on average, parsed to the document, whose primitives, the largest, have a few hundred; and before.
+const FIELD_BYTES: u64 = 64;
+const VALUE_BYTES: u64 = 128;
+
+/// Bytes of an instance, in a list that doubles as it grows, and of what is diced of it.
+const INSTANCE_BYTES: u64 = 3 * size_of::<Instance>() as u64;
+
+/// Bytes of the transform of one of a node's instances, and of what it is made of, while it is read.
+const TRANSFORM_BYTES: u64 = 144;
+
+/// Vertices of a primitive.
+fn vertex_count(primitive: &gltf::Primitive) -> u64 {
+    primitive.attributes().map(|(_, accessor)| accessor.count()).max().unwrap_or(0) as u64
+}
+
+/// Bytes of a primitive's mesh, with what is held while it is read, and of its lists.
+fn primitive_bytes(primitive: &gltf::Primitive) -> u64 {
+    let vertices = vertex_count(primitive);
+    let corners = primitive.indices().map_or(vertices, |indices| indices.count() as u64);
+    vertices
+        .saturating_mul(VERTEX_BYTES)
+        .saturating_add(corners.saturating_mul(CORNER_BYTES))
+        .saturating_add(size_of::<Mesh>() as u64)
+}
+
+/// Bytes that are held for a while where a primitive is posed: of a target, or joints and weights of all sets.
+fn posing_bytes(primitive: &gltf::Primitive) -> u64 {
+    let is_posed = |semantic: &gltf::Semantic| {
+        matches!(semantic, gltf::Semantic::Joints(_) | gltf::Semantic::Weights(_))
+    };
+    let attributes = primitive.attributes().filter(|(semantic, _)| is_posed(semantic)).count();
+    let lists = attributes as u64 + 2 * u64::from(primitive.morph_targets().next().is_some());
+    vertex_count(primitive).saturating_mul(lists * POSED_BYTES)
+}
+
+/// Position, normal, color with alpha and texture coordinates; an index, and its part of a triangle, of which strips make one for each.
+const VERTEX_BYTES: u64 = 48;
+const CORNER_BYTES: u64 = 4 + 12;
+/// A vector of four, packed and unpacked.
+const POSED_BYTES: u64 = 32;
 
 fn describe_primitive(mesh: &gltf::Mesh, primitive: &gltf::Primitive) -> String {
     let name = mesh.name().map_or(String::new(), |name| format!(" ({name})"));

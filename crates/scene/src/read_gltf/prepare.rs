@@ -1,6 +1,7 @@
 //! From JSON text to a document: what is not needed is taken out before it can stop the rest, and what extensions say is put
 //! where the rest finds it.
 
+use super::accessor::Accessors;
 use crate::SceneError;
 use gltf::json::{Root, deserialize};
 use serde_json::{Map, Value, json};
@@ -72,6 +73,15 @@ pub(super) struct InstanceAttributes {
     pub translation: Option<usize>,
     pub rotation: Option<usize>,
     pub scale: Option<usize>,
+}
+
+impl InstanceAttributes {
+    /// Number of instances, by the longest of the accessors.
+    pub fn count(&self, accessors: Accessors) -> u64 {
+        let used = [self.translation, self.rotation, self.scale].into_iter().flatten();
+        let counts = used.filter_map(|i| accessors.root.accessors.get(i)).map(|a| a.count.0);
+        counts.max().unwrap_or(0)
+    }
 }
 
 /// Parses the JSON of a glTF file; refuses versions, and required extensions that change shapes, by name.

@@ -72,7 +72,7 @@ const SCENE: &str = r#""scenes":[{"nodes":[0]}],"nodes":[{"mesh":0}],"meshes":[{
     "materials":[{"name":"m"}]"#;
 
 fn parse(glb: &[u8]) -> Result<Scene, SceneError> {
-    parse_gltf(Path::new("test.glb"), glb)
+    parse_gltf(Path::new("test.glb"), glb, &Resources::new(&pbgi_file::Allowance::unlimited()))
 }
 
 #[test]

@@ -1,12 +1,16 @@
 //! MTL material libraries.
 
 use super::{read_floats, read_lines};
-use crate::decode_texture::decode_image;
+use crate::decode_texture::{TextureSize, decode_image, texels_of};
 use crate::find_file::find_file;
-use crate::{Material, Texture, Wrap};
+use crate::resources::{Resources, is_lack_of_memory};
+use crate::{Material, SceneError, Texture, Wrap};
 use image::RgbaImage;
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::Path;
+
+/// Bytes that a line of a library may come to hold: a material, or a warning.
+const LINE_BYTES: usize = size_of::<Draft>() + 64;
 
 /// Materials read so far. Nothing in a library is an error: the shape matters more than its color,
 /// so what cannot be read is a warning.
@@ -15,6 +19,8 @@ pub(super) struct Library {
     pub materials: Vec<Material>,
     pub textures: Vec<Texture>,
     pub warnings: Vec<String>,
+    /// Why the scene cannot be read: what memory there is must not decide what is ignored.
+    pub failed: Option<SceneError>,
     /// Textures that were made, by what they are made of.
     known: Vec<(TextureKey, u32)>,
     /// Libraries that were read, or looked for.
@@ -68,17 +74,17 @@ fn effect_of(keyword: &str) -> Option<&'static str> {
 
 impl Library {
     /// Adds the libraries that an `mtllib` line of the OBJ file at `obj` names: one name, which may hold spaces, or several.
-    pub fn read(&mut self, obj: &Path, names: &str) {
+    pub fn read(&mut self, obj: &Path, names: &str, resources: &Resources) {
         if find_file(obj, names).is_some() {
-            return self.read_one(obj, names);
+            return self.read_one(obj, names, resources);
         }
         let words: Vec<&str> = names.split_ascii_whitespace().collect();
         let is_list =
             words.len() > 1 && words.iter().all(|word| word.to_ascii_lowercase().ends_with(".mtl"));
         if is_list {
-            words.into_iter().for_each(|name| self.read_one(obj, name));
+            words.into_iter().for_each(|name| self.read_one(obj, name, resources));
         } else {
-            self.read_one(obj, names);
+            self.read_one(obj, names, resources);
         }
     }
 
@@ -87,7 +93,7 @@ impl Library {
     /// `Kd` and `map_Kd` give the base color, `Ke` and `map_Ke` the emitted radiance, `Pm` and `Pr` metalness and roughness; `map_d` cuts
     /// holes; `d` below 0.5 (or `Tr` above, where there is no `d`) makes the surface a hole. `Ka` is the reflection of an
     /// ambient light, no emission. A color given for a textured material multiplies the texture, unless it is black.
-    fn read_one(&mut self, obj: &Path, name: &str) {
+    fn read_one(&mut self, obj: &Path, name: &str, resources: &Resources) {
         if !self.seen.insert(name.to_owned()) {
             return;
         }
@@ -97,15 +103,18 @@ impl Library {
             ));
             return;
         };
+        resources.add_file(&path);
         let mut drafts: Vec<Draft> = Vec::new();
         let mut ignored: BTreeMap<String, u64> = BTreeMap::new();
         let read = read_lines(&path, |number, keyword, rest| {
+            resources.take(&path, (LINE_BYTES + rest.len()) as u64)?;
             if let Err(message) = read_line(&mut drafts, &mut ignored, keyword, rest) {
                 self.warnings.push(format!("{name}, line {number}: {message}"));
             }
             Ok(())
         });
         if let Err(error) = read {
+            let Some(error) = self.fail_of_memory(error) else { return };
             self.warnings.push(format!("material library {name} is left out: {error}"));
             return;
         }
@@ -115,8 +124,17 @@ impl Library {
         }
         self.settle_inverted(name, &mut drafts);
         for draft in drafts {
-            self.finish(&path, draft);
+            self.finish(&path, draft, resources);
         }
+    }
+
+    /// Gives an error back, unless it is a lack of memory, which fails the scene.
+    fn fail_of_memory(&mut self, error: SceneError) -> Option<SceneError> {
+        if !is_lack_of_memory(&error) {
+            return Some(error);
+        }
+        self.failed = Some(error);
+        None
     }
 
     /// Some programs write `Tr 1` and mean opaque: where a whole library would be invisible, that is what it says.
@@ -130,7 +148,7 @@ impl Library {
         }
     }
 
-    fn finish(&mut self, path: &Path, draft: Draft) {
+    fn finish(&mut self, path: &Path, draft: Draft, resources: &Resources) {
         let Draft { mut material, d, tr, color, mask, glow, .. } = draft;
         let opacity = d.unwrap_or_else(|| 1.0 - tr.unwrap_or(0.0));
         let name = material.name.clone();
@@ -160,11 +178,11 @@ impl Library {
         }
         if color.is_some() || mask.is_some() {
             let key = TextureKey { color, mask };
-            material.base_color_texture = self.add_texture(path, key);
+            material.base_color_texture = self.add_texture(path, key, resources);
         }
         if let Some(glow) = glow {
             let key = TextureKey { color: Some(glow), mask: None };
-            material.emission_texture = self.add_texture(path, key);
+            material.emission_texture = self.add_texture(path, key, resources);
             if material.emission_texture.is_none() {
                 material.emission = black;
             }
@@ -179,14 +197,14 @@ impl Library {
     }
 
     /// Index of the texture of `key`; `None`, with a warning, if none of its files can be read.
-    fn add_texture(&mut self, path: &Path, key: TextureKey) -> Option<u32> {
+    fn add_texture(&mut self, path: &Path, key: TextureKey, resources: &Resources) -> Option<u32> {
         if let Some((_, known)) = self.known.iter().find(|(k, _)| *k == key) {
             return Some(*known);
         }
-        let color = key.color.as_ref().and_then(|map| self.decode(path, map));
+        let color = key.color.as_ref().and_then(|map| self.decode(path, map, resources));
         let mask = match (&key.color, &key.mask) {
             (Some(color_map), Some(mask)) if color_map.name == mask.name => color.clone(),
-            (_, Some(mask)) => self.decode(path, mask),
+            (_, Some(mask)) => self.decode(path, mask, resources),
             (_, None) => None,
         };
         let is_one_file = key.color.as_ref().map(|m| &m.name) == key.mask.as_ref().map(|m| &m.name);
@@ -204,25 +222,43 @@ impl Library {
         let clamp = key.color.as_ref().or(key.mask.as_ref()).is_some_and(|map| map.clamp);
         let wrap = if clamp { Wrap::Clamp } else { Wrap::Repeat };
         let (width, height) = image.dimensions();
-        let texels = image.pixels().map(|p| p.0).collect();
-        self.textures.push(Texture::new(width, height, texels, true)?.with_wrap([wrap; 2]));
+        self.textures
+            .push(Texture::new(width, height, texels_of(image), true)?.with_wrap([wrap; 2]));
         let index = self.textures.len() as u32 - 1;
         self.known.push((key, index));
         Some(index)
     }
 
-    fn decode(&mut self, path: &Path, map: &Map) -> Option<RgbaImage> {
+    fn decode(&mut self, path: &Path, map: &Map, resources: &Resources) -> Option<RgbaImage> {
         let name = &map.name;
-        let read = |file: PathBuf| {
-            let bytes = std::fs::read(&file).map_err(|e| e.to_string())?;
-            decode_image(name, &bytes)
+        let read = match find_file(path, name) {
+            Some(file) => read_image(&file, name, resources),
+            None => Ok(Err("there is no such file".to_owned())),
         };
-        let found = find_file(path, name).ok_or_else(|| "there is no such file".to_owned());
-        found
-            .and_then(read)
-            .map_err(|e| self.warnings.push(format!("texture {name} is ignored: {e}")))
-            .ok()
+        let why = match read {
+            Ok(Ok(image)) => return Some(image),
+            Ok(Err(why)) => why,
+            Err(error) => self.fail_of_memory(error)?.to_string(),
+        };
+        self.warnings.push(format!("texture {name} is ignored: {why}"));
+        None
     }
+}
+
+/// Reads and decodes an image. The inner error says what is wrong with it.
+fn read_image(
+    file: &Path,
+    name: &str,
+    resources: &Resources,
+) -> Result<Result<RgbaImage, String>, SceneError> {
+    let bytes = resources.read_referred(file)?;
+    let size = match TextureSize::of(name, &bytes) {
+        Ok(size) => size,
+        Err(why) => return Ok(Err(why)),
+    };
+    resources.take(file, size.held_bytes())?;
+    resources.check(file, size.decoding_bytes())?;
+    Ok(decode_image(name, &bytes))
 }
 
 fn read_line(

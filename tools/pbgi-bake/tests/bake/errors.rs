@@ -64,7 +64,7 @@ fn unreadable_environments_end_with_code_3() {
 fn misuse_ends_with_code_2() {
     let bench = Bench::new();
     bench.write("s.ply", ply_sphere(1000, Ply::Little));
-    bench.write("old.pbgi", "old");
+    bench.write("old.pbgi", "PBGITREE, an old file");
     for (args, part) in [
         (&[][..], "INPUT"),
         (&["s.ply", "-o", "old.pbgi"], "--force"),
@@ -83,7 +83,7 @@ fn misuse_ends_with_code_2() {
     ] {
         refuse(&bench, args, 2, &[part]);
     }
-    assert_eq!(bench.read("old.pbgi"), b"old");
+    assert_eq!(bench.read("old.pbgi"), b"PBGITREE, an old file");
     bench.bake(&["s.ply", "-o", "old.pbgi", "--force"], "old.pbgi");
 }
 

@@ -7,6 +7,9 @@ use std::time::{Duration, Instant};
 /// Kills of each kind of bake, at moments spread over its time.
 const KILLS: u32 = 18;
 
+/// An old octree, as far as its first bytes tell.
+const OLD: &str = "PBGITREE, an old file";
+
 /// Bakes that go through all phases: to disk and back, and with light.
 const BAKES: [&[&str]; 2] = [
     &["demo:street?surfels=500k", "--memory-limit", "64MiB"],
@@ -36,16 +39,16 @@ fn a_killed_bake_leaves_the_old_file_and_the_next_one_leaves_nothing_else() {
         bench.bake(&bake(input, &[]), "scene.pbgi");
         let whole = start.elapsed();
         let finished = bench.read("scene.pbgi");
-        bench.write("scene.pbgi", "the old file");
+        bench.write("scene.pbgi", OLD);
         let mut killed = 0;
         for kill in 0..KILLS {
             start_and_kill(&bench, &bake(input, &[]), whole * kill / KILLS);
             // A kill may come after the new file has its name; there is nothing between the two.
-            if bench.read("scene.pbgi") == b"the old file" {
+            if bench.read("scene.pbgi") == OLD.as_bytes() {
                 killed += 1;
             } else {
                 assert!(bench.read("scene.pbgi") == finished, "kill {kill} left half a file");
-                bench.write("scene.pbgi", "the old file");
+                bench.write("scene.pbgi", OLD);
             }
         }
         assert!(killed > KILLS / 3, "only {killed} kills within {whole:?} came before the end");

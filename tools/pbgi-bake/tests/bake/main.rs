@@ -5,5 +5,6 @@ mod errors;
 mod formats;
 mod invariance;
 mod kill;
+mod promises;
 mod relight;
 mod support;

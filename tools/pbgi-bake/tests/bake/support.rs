@@ -70,8 +70,9 @@ impl Bench {
     }
 
     pub fn check(&self, output: &str) -> pbgi::OctreeInfo {
-        pbgi::OctreeCheck::read(&self.path(output), pbgi::Backend::Read, 2, |_| {}).unwrap();
-        pbgi::OctreeInfo::read(&self.path(output)).unwrap()
+        pbgi::OctreeCheck::read(&self.path(output), pbgi::Backend::Read, 2, 1 << 30, |_| {})
+            .unwrap();
+        pbgi::OctreeInfo::read(&self.path(output), 1 << 30).unwrap()
     }
 }
 

@@ -4,5 +4,6 @@
 mod errors;
 mod frames;
 mod gbuffers;
+mod outputs;
 mod points;
 mod support;
