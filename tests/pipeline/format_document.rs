@@ -16,7 +16,7 @@ const BEGIN: &str = "<!-- dump: begin -->\n```text\n";
 const END: &str = "```\n<!-- dump: end -->\n";
 
 fn golden_path() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("golden/v3-five-surfels.pbgi")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("golden/v4-five-surfels.pbgi")
 }
 
 fn document_path() -> PathBuf {
@@ -90,11 +90,11 @@ fn todays_reader_reads_the_golden_file() {
 
 #[test]
 fn files_of_older_versions_are_refused() {
-    for version in [1, 2] {
+    for version in [1, 2, 3] {
         let name = format!("golden/v{version}-five-surfels.pbgi");
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(name);
         let error = Octree::open(&path, &OpenOptions::default()).err().unwrap().to_string();
-        let expected = format!("header: version: found {version}, expected 3");
+        let expected = format!("header: version: found {version}, expected 4: bake");
         assert!(error.contains(&expected), "{error}");
     }
 }
@@ -412,6 +412,8 @@ impl<'a> Dump<'a> {
                 }
             }
             at += (41 + 11 * children).next_multiple_of(4) + usize::from(lobes) * lobe_bytes;
+            let [wide, narrow] = [0, 4].map(|i| u32_at(page, at + i).count_ones() as usize);
+            at += (8 + 8 * wide + 2 * narrow).next_multiple_of(4);
         }
     }
 
@@ -470,6 +472,19 @@ impl<'a> Dump<'a> {
                 self.shared_exponent("  radiance", self.radiance_scale());
             }
         }
+        let stencils = self.at;
+        let sets = [0, 4].map(|i| u32_at(&self.bytes[self.at..], i));
+        self.show(4, |b| format!("lobes with a wide stencil {:b}", u32_at(b, 0)));
+        self.show(4, |b| format!("lobes with a narrow stencil {:b}", u32_at(b, 0)));
+        for (set, bytes) in sets.into_iter().zip([8, 2]) {
+            for lobe in (0..32).filter(|lobe| set >> lobe & 1 != 0) {
+                self.show(bytes, |b| {
+                    let rows: String = b.iter().rev().map(|row| format!("{row:08b}")).collect();
+                    format!("stencil of lobe {lobe}: {rows}")
+                });
+            }
+        }
+        self.padding(stencils + (self.at - stencils).next_multiple_of(4));
     }
 
     fn is_rgb(&self) -> bool {

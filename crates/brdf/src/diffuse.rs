@@ -260,7 +260,7 @@ mod tests {
             self.0.clear::<L>(self.1);
             for &(inverse, low, high) in self.2 {
                 let footprint = self.0.footprint(low, high);
-                let section = Section { inverse, low, high };
+                let section = Section { inverse, low, high, ..Section::default() };
                 self.0.draw::<L, _>(&[(section, ink)], &footprint, low + high);
             }
         }

@@ -3,7 +3,17 @@
 use crate::lobe_sum::{LobeSum, lobe_area};
 use crate::reduce::{LobeReducer, LobeSums};
 use pbgi_cloud::{Surfel, SurfelFlags};
-use pbgi_math::{Aabb, Vec3, rectangle_half_edges, triangle_base, triangle_corners};
+use pbgi_format::{LOBES_MAX, Lobe};
+use pbgi_math::{
+    Aabb, Stencil, StencilSum, Vec3, rectangle_half_edges, stencil_axis, triangle_base,
+    triangle_corners,
+};
+
+/// Covered share of a cell, over the mean of what is covered, from which on a solid thing's stencil has the cell.
+const SOLID_CELL: f32 = 0.35;
+
+/// The same for sheets, whose area is kept: half cells at their rims.
+const SHEET_CELL: f32 = 0.5;
 
 /// What a node knows of its surfels.
 #[derive(Clone, Debug, PartialEq)]
@@ -61,7 +71,39 @@ impl NodeAggregate {
             }
         }
         node.lobes = reducer.reduce(lobe_total);
+        let mut stencils = node.stencils();
+        let mut shape = Shape::of(&surfels[0]);
+        for (surfel, owner) in surfels.iter().zip(&reducer.owners) {
+            if (surfel.orientation, surfel.flags) != shape.key {
+                shape = Shape::of(surfel);
+            }
+            let Some(Some((axis, sum))) = stencils.get_mut(*owner as usize) else { continue };
+            let (own, _) = shape.area_true_box(surfel);
+            sum.add(&own, surfel.area * shape.normal[*axis].abs());
+        }
+        node.set_stencils(stencils, StencilSum::finish_narrow);
         node
+    }
+
+    /// Empty stencils of its lobes, with their axes.
+    fn stencils(&self) -> [Option<(usize, StencilSum)>; LOBES_MAX] {
+        std::array::from_fn(|i| {
+            let lobe = self.lobes.get(i)?;
+            let axis = stencil_axis(Lobe::decoded_direction(lobe.vector.as_vec3()));
+            Some((axis, StencilSum::new(&self.bounds, axis)))
+        })
+    }
+
+    fn set_stencils(
+        &mut self,
+        sums: [Option<(usize, StencilSum)>; LOBES_MAX],
+        finish: impl Fn(StencilSum, f32) -> (Stencil, f32),
+    ) {
+        for (lobe, sum) in self.lobes.iter_mut().zip(sums) {
+            let Some((_, sum)) = sum else { continue };
+            let least = if lobe.blocks_back { SOLID_CELL } else { SHEET_CELL };
+            (lobe.stencil, lobe.stencil_area) = finish(sum, least);
+        }
     }
 
     /// Aggregate of an inner node.
@@ -85,7 +127,7 @@ impl NodeAggregate {
         for lobe in lobes() {
             reducer.add(lobe, lobe_total);
         }
-        for child in children {
+        for child in children.clone() {
             sum.bounds = sum.bounds.union(child.bounds);
             sum.cover_margin = sum.cover_margin.max(child.cover_margin);
             sum.surfel_count += child.surfel_count;
@@ -96,6 +138,17 @@ impl NodeAggregate {
         }
         assert!(sum.surfel_count > 0, "an inner node has children");
         sum.lobes = reducer.reduce(lobe_total);
+        let mut stencils = sum.stencils();
+        let mut owners = reducer.owners.iter();
+        for child in children {
+            for (lobe, owner) in child.lobes.iter().zip(&mut owners) {
+                let Some(Some((_, sum))) = stencils.get_mut(*owner as usize) else { continue };
+                let axis = stencil_axis(Lobe::decoded_direction(lobe.vector.as_vec3()));
+                let share = lobe.stencil_area / lobe.stencil.0.count_ones().max(1) as f32;
+                sum.add_stencil(lobe.stencil, axis, &child.bounds, share.min(1.0));
+            }
+        }
+        sum.set_stencils(stencils, |sum, least| sum.finish(least));
         sum
     }
 

@@ -2,7 +2,7 @@
 
 use pbgi_cloud::Surfel;
 use pbgi_format::Lobe;
-use pbgi_math::{Aabb, DVec3, Frame, Vec3, section_area};
+use pbgi_math::{Aabb, DVec3, Frame, Stencil, Vec3, section_area, stencil_axis};
 
 /// Surfels of similar normals and radiance, summed in f64. See [`Lobe`] for the function it stands for.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -21,6 +21,9 @@ pub struct LobeSum {
     pub covered: f64,
     /// Where sheets are; empty where backs block.
     pub bounds: Aabb,
+    /// Where in the node's box the surfels lie, once that box is known; and the area they cover there, seen along the stencil's axis.
+    pub stencil: Stencil,
+    pub stencil_area: f32,
 }
 
 /// Share of their area by which normals of parallel sheets may cancel.
@@ -53,6 +56,8 @@ impl LobeSum {
             } else {
                 center.inflated(0.5 * surfel.area.sqrt())
             },
+            stencil: Stencil::FULL,
+            stencil_area: 0.0,
         }
     }
 
@@ -118,7 +123,15 @@ impl LobeSum {
             let half = half.max(DVec3::splat(1e-3 * half.max_element()));
             let reach = normal.abs().dot(half).max(f64::MIN_POSITIVE);
             height = (normal.dot(self.moment / self.area - center) / reach).clamp(-1.0, 1.0);
-            let section = section_area(half, normal, height * reach);
+            let axis = stencil_axis(Lobe::decoded_direction(self.vector.as_vec3()));
+            // The covered cells, laid into the plane.
+            let edges = half * 2.0;
+            let face = edges[(axis + 1) % 3] * edges[(axis + 2) % 3];
+            let section = if self.stencil == Stencil::FULL {
+                section_area(half, normal, height * reach)
+            } else {
+                face * f64::from(self.stencil.share()) / normal[axis].abs()
+            };
             // Parallel sheets are boards and panes, and closed; leaves are never parallel.
             let is_board = length >= self.area * (1.0 - PARALLEL);
             let covered = if is_board { length } else { length * (self.covered / self.area) };
@@ -131,6 +144,7 @@ impl LobeSum {
             radiance: self.radiance(),
             height: height as f32,
             fill: fill as f32,
+            stencil: self.stencil,
         }
     }
 }

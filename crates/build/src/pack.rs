@@ -145,10 +145,10 @@ impl Group {
 
     /// Bytes of this group alone: (without lobes, of lobes).
     pub fn own_bytes(&self, layout: &SurfelLayout) -> (u64, u64) {
-        let lobe_count = self.lobes.len();
-        let all = group_bytes(self.children.len(), lobe_count, layout.channels);
-        let lobes = lobe_count * Lobe::stored_bytes(layout.channels);
-        ((all - lobes) as u64, lobes as u64)
+        let (children, channels) = (self.children.len(), layout.channels);
+        let all = group_bytes(children, &self.lobes, channels);
+        let hot = group_bytes(children, &[], channels);
+        (hot as u64, (all - hot) as u64)
     }
 
     fn measure(&mut self, layout: &SurfelLayout) {

@@ -12,6 +12,12 @@ pub struct LobeSums {
     len: usize,
 }
 
+impl std::ops::DerefMut for LobeSums {
+    fn deref_mut(&mut self) -> &mut [LobeSum] {
+        &mut self.lobes[..self.len]
+    }
+}
+
 impl Deref for LobeSums {
     type Target = [LobeSum];
 
@@ -80,12 +86,15 @@ pub(crate) struct LobeReducer {
     candidates: Vec<Candidate>,
     /// The candidate that [`LobeReducer::add_to`] has changed, if any.
     stale: Option<usize>,
+    /// For each lobe that was added, the candidate it is part of.
+    pub owners: Vec<u32>,
 }
 
 impl LobeReducer {
     /// Forgets the lobes of the node before.
     pub fn clear(&mut self) {
         self.candidates.clear();
+        self.owners.clear();
         self.stale = None;
     }
 
@@ -105,7 +114,7 @@ impl LobeReducer {
         let new = Candidate::new(*lobe);
         // Most lobes of a flat piece are parallel; they need no search.
         let near = |kept: &Candidate| kept.loss_with(&new) <= SAME_TOLERANCE * total;
-        match self.candidates.iter().position(near) {
+        let place = match self.candidates.iter().position(near) {
             Some(place) => {
                 self.candidates[place].sum.add(lobe);
                 self.refresh(place);
@@ -115,13 +124,16 @@ impl LobeReducer {
                 self.candidates.push(new);
                 self.candidates.len() - 1
             }
-        }
+        };
+        self.owners.push(place as u32);
+        place
     }
 
     /// Adds a lobe that differs from the last one only in area and place to the candidate where that went.
     #[inline]
     pub fn add_to(&mut self, place: usize, lobe: &LobeSum) {
         self.candidates[place].sum.add(lobe);
+        self.owners.push(place as u32);
         self.stale = Some(place);
     }
 
@@ -171,6 +183,13 @@ impl LobeReducer {
     /// Sums two candidates into the first of them.
     fn merge(&mut self, first: usize, second: usize) {
         let other = self.candidates.remove(second).sum;
+        for owner in &mut self.owners {
+            if *owner == second as u32 {
+                *owner = first as u32;
+            } else if *owner > second as u32 {
+                *owner -= 1;
+            }
+        }
         self.candidates[first].sum.add(&other);
         self.refresh(first);
         for i in 0..self.candidates.len() {
@@ -243,6 +262,7 @@ mod tests {
                         blocks_back: round % 3 > 0 || i % 2 == 0,
                         covered: area,
                         bounds: Aabb::EMPTY,
+                        ..LobeSum::default()
                     }
                 })
                 .collect();

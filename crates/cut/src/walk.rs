@@ -331,7 +331,7 @@ fn take_child<V: CutVisitor, T: Threshold>(
     let (view, group) = view_group(reader, page, page_id, offset, layout.channels)?;
     let index = child_index(group.fields().octants, octant);
     if !child.is_large {
-        let lobes = group.lobe_bytes(index, layout.channels);
+        let lobes = (group.lobe_bytes(index, layout.channels), &group.stencils(index));
         let seed = node_seed(page_id, offset, octant);
         visitor.take_cluster(&Cluster::from_lobes(low, high, margin, lobes, seed, &layout));
         stats.clusters += 1;

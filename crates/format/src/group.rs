@@ -1,7 +1,9 @@
 //! Groups: an inner node with what is stored of its children.
 
-use crate::{Channels, FormatError, Lobe, MiniFloat, read_f32, read_u16, read_u32};
-use pbgi_math::{Aabb, Vec3};
+use crate::{
+    Channels, FormatError, LOBES_MAX, Lobe, MiniFloat, read_f32, read_u16, read_u32, read_u64,
+};
+use pbgi_math::{Aabb, Stencil, Vec3};
 
 /// Most children of a group: the octants of its cell.
 pub const CHILDREN_MAX: usize = 8;
@@ -89,11 +91,40 @@ pub struct GroupFields {
     pub leaves: u8,
 }
 
-/// Bytes of a group with `child_count` children and `lobe_count` lobes in all.
+/// Bytes of a group's two sets of lobes with stencils.
+const STENCIL_SETS_BYTES: usize = 8;
+
+/// Bytes of a group of children with these lobes.
 #[must_use]
-pub fn group_bytes(child_count: usize, lobe_count: usize, channels: Channels) -> usize {
+pub fn group_bytes(child_count: usize, lobes: &[Lobe], channels: Channels) -> usize {
+    let [wide, narrow] = stencil_sets(lobes.iter());
+    let stencils = stencil_bytes(wide, narrow);
+    stencils_start(child_count, lobes.len(), channels) + stencils
+}
+
+/// Bytes of a group before its stencils.
+#[inline(always)]
+fn stencils_start(child_count: usize, lobe_count: usize, channels: Channels) -> usize {
     let unaligned = GROUP_FIXED_BYTES + 4 * child_count + 7 * child_count;
     unaligned.next_multiple_of(4) + lobe_count * Lobe::stored_bytes(channels)
+}
+
+/// Bytes of the sets and of the stencils they say there are.
+#[inline(always)]
+fn stencil_bytes(wide: u32, narrow: u32) -> usize {
+    let (wide, narrow) = (wide.count_ones() as usize, narrow.count_ones() as usize);
+    (STENCIL_SETS_BYTES + 8 * wide + 2 * narrow).next_multiple_of(4)
+}
+
+/// Lobes (bit = index) with a stencil of 64 bits, and those with one of 16; all others have a full one.
+fn stencil_sets<'l>(lobes: impl Iterator<Item = &'l Lobe>) -> [u32; 2] {
+    let mut sets = [0; 2];
+    for (index, lobe) in lobes.enumerate() {
+        if lobe.stencil != Stencil::FULL {
+            sets[usize::from(lobe.stencil.to_narrow().is_some())] |= 1 << index;
+        }
+    }
+    sets
 }
 
 /// Appends a group: its fields, and of each child its link, its box and its lobes.
@@ -118,7 +149,7 @@ pub fn write_group(
     let margin = fields.cover_margin.to_bits().div_ceil(1 << 16) as u16;
     out.extend_from_slice(&margin.to_le_bytes());
     let lobe_count: usize = children.iter().map(|c| c.2.len()).sum();
-    assert!(lobe_count <= CHILDREN_MAX * crate::LOBES_MAX, "at most four lobes per child");
+    assert!(lobe_count <= CHILDREN_MAX * LOBES_MAX, "at most four lobes per child");
     out.extend_from_slice(&[fields.octants, fields.leaves, lobe_count as u8]);
     for (link, ..) in children {
         let code = match *link {
@@ -150,6 +181,21 @@ pub fn write_group(
     for lobe in children.iter().flat_map(|c| c.2) {
         lobe.write(channels, area, radiance_scale, out);
     }
+    let lobes = || children.iter().flat_map(|c| c.2);
+    let sets = stencil_sets(lobes());
+    for set in sets {
+        out.extend_from_slice(&set.to_le_bytes());
+    }
+    let of_set = |set: u32| {
+        lobes().enumerate().filter(move |(index, _)| set >> index & 1 != 0).map(|(_, l)| l.stencil)
+    };
+    for stencil in of_set(sets[0]) {
+        out.extend_from_slice(&stencil.0.to_le_bytes());
+    }
+    for narrow in of_set(sets[1]).filter_map(Stencil::to_narrow) {
+        out.extend_from_slice(&narrow.to_le_bytes());
+    }
+    out.resize(start + (out.len() - start).next_multiple_of(4), 0);
 }
 
 /// A group in a verified page.
@@ -157,6 +203,8 @@ pub fn write_group(
 pub struct GroupView<'a> {
     bytes: &'a [u8],
     child_count: usize,
+    /// Where its stencils begin.
+    stencils: usize,
 }
 
 impl<'a> GroupView<'a> {
@@ -178,15 +226,21 @@ impl<'a> GroupView<'a> {
         }
         let child_count = page[offset + 38].count_ones() as usize;
         let lobe_count = usize::from(page[offset + 40]);
-        let bytes = group_bytes(child_count, lobe_count, channels);
-        if child_count == 0 || lobe_count < child_count || offset + bytes > groups_end {
+        let stencils = stencils_start(child_count, lobe_count, channels);
+        let sets = offset + stencils;
+        let bytes = if sets + STENCIL_SETS_BYTES > groups_end {
+            usize::MAX
+        } else {
+            stencils + stencil_bytes(read_u32(page, sets), read_u32(page, sets + 4))
+        };
+        if child_count == 0 || lobe_count < child_count || bytes > groups_end - offset {
             return Err(FormatError::new(
                 "group: children",
                 child_count,
                 "1 to 8, inside the page",
             ));
         }
-        Ok(Self { bytes: &page[offset..offset + bytes], child_count })
+        Ok(Self { bytes: &page[offset..offset + bytes], child_count, stencils })
     }
 
     /// Bytes of the group.
@@ -276,13 +330,42 @@ impl<'a> GroupView<'a> {
     #[must_use]
     #[inline(always)]
     pub fn lobe_bytes(&self, index: usize, channels: Channels) -> &'a [u8] {
-        let n = self.child_count;
-        let ends = GROUP_FIXED_BYTES + 10 * n;
-        let first = if index == 0 { 0 } else { usize::from(self.bytes[ends + index - 1]) };
-        let end = usize::from(self.bytes[ends + index]);
-        let start = (ends + n).next_multiple_of(4);
+        let [first, end] = self.lobes_of(index);
+        let start = (GROUP_FIXED_BYTES + 11 * self.child_count).next_multiple_of(4);
         let stride = Lobe::stored_bytes(channels);
         self.bytes.get(start + first * stride..start + end * stride).unwrap_or(&[])
+    }
+
+    /// First lobe of child `index`, and one past its last.
+    #[inline(always)]
+    fn lobes_of(&self, index: usize) -> [usize; 2] {
+        let ends = GROUP_FIXED_BYTES + 10 * self.child_count;
+        let first = if index == 0 { 0 } else { self.bytes[ends + index - 1] };
+        [first, self.bytes[ends + index]].map(usize::from)
+    }
+
+    /// Stencils of the lobes of child `index`.
+    #[must_use]
+    #[inline(always)]
+    pub fn stencils(&self, index: usize) -> [Stencil; LOBES_MAX] {
+        let [first, end] = self.lobes_of(index);
+        let sets = [0, 4].map(|at| read_u32(self.bytes, self.stencils + at));
+        let [wide, narrow] = sets;
+        let wide_start = self.stencils + STENCIL_SETS_BYTES;
+        let narrow_start = wide_start + 8 * wide.count_ones() as usize;
+        let mut stencils = [Stencil::FULL; LOBES_MAX];
+        for (stencil, lobe) in stencils.iter_mut().zip(first..end.min(32)) {
+            let bit = 1u32 << lobe;
+            let before = |set: u32| (set & (bit - 1)).count_ones() as usize;
+            // Both sets are inside of the group; a lobe in both is read as wide.
+            if wide & bit != 0 {
+                *stencil = Stencil(read_u64(self.bytes, wide_start + 8 * before(wide)));
+            } else if narrow & bit != 0 {
+                let code = read_u16(self.bytes, narrow_start + 2 * before(narrow));
+                *stencil = Stencil::from_narrow(code);
+            }
+        }
+        stencils
     }
 }
 
@@ -298,15 +381,20 @@ mod tests {
             octants: 0b1001_0010,
             leaves: 0b1000_0000,
         };
-        let lobe = |x: f32| Lobe { vector: Vec3::X * x, width: 0.1, ..Lobe::default() };
+        let lobe = |x: f32, stencil: u64| Lobe {
+            vector: Vec3::X * x,
+            width: 0.1,
+            stencil: Stencil(stencil),
+            ..Lobe::default()
+        };
         let child = |a: f32, b: f32| Aabb {
             min: Vec3::new(-1.0 + a, 2.0, 3.3),
             max: Vec3::new(-1.0 + b, 2.41, 8.7),
         };
         let children = vec![
-            (ChildLink::Group(64), child(0.0, 1.3), vec![lobe(1.0)]),
-            (ChildLink::External(5), child(1.1, 2.7), vec![lobe(2.0), lobe(3.0)]),
-            (ChildLink::Leaf { offset: 1000, count: 255 }, child(2.2, 5.0), vec![lobe(4.0)]),
+            (ChildLink::Group(64), child(0.0, 1.3), vec![lobe(1.0, 0x0c0c)]),
+            (ChildLink::External(5), child(1.1, 2.7), vec![lobe(2.0, 5), lobe(3.0, u64::MAX)]),
+            (ChildLink::Leaf { offset: 1000, count: 255 }, child(2.2, 5.0), vec![lobe(4.0, 6)]),
         ];
         (fields, children)
     }
@@ -324,7 +412,10 @@ mod tests {
             write_group(&fields, &boxed, (channels, area, 1.0), &mut page);
             let view = GroupView::new(&page, page.len(), 32, channels).unwrap();
             assert_eq!(view.stored_bytes(), page.len() - 32);
-            assert_eq!(view.stored_bytes(), group_bytes(3, 4, channels));
+            assert_eq!(view.stored_bytes(), {
+                let lobes: Vec<Lobe> = children.iter().flat_map(|c| c.2.clone()).collect();
+                group_bytes(3, &lobes, channels)
+            });
             let stored = view.fields();
             assert_eq!(GroupFields { cover_margin: fields.cover_margin, ..stored }, fields);
             let more = stored.cover_margin / fields.cover_margin;
@@ -337,6 +428,8 @@ mod tests {
                 let bytes = view.lobe_bytes(i, channels);
                 let stride = Lobe::stored_bytes(channels);
                 assert_eq!(bytes.len(), child.2.len() * stride);
+                let stencils: Vec<Stencil> = child.2.iter().map(|lobe| lobe.stencil).collect();
+                assert_eq!(&view.stencils(i)[..stencils.len()], &stencils);
                 let first = Lobe::read(bytes, channels, area, 1.0);
                 assert!((first.vector - child.2[0].vector).length() < 2e-2);
             }

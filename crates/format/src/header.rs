@@ -9,7 +9,7 @@ use pbgi_math::{Aabb, DVec3, RootCube, Vec3};
 pub const MAGIC: [u8; 8] = *b"PBGITREE";
 
 /// Version of the layout; readers accept this one only.
-pub const FORMAT_VERSION: u32 = 3;
+pub const FORMAT_VERSION: u32 = 4;
 
 /// Bytes of the header.
 pub const HEADER_BYTES: usize = 256;
@@ -192,7 +192,10 @@ impl Header {
             return Err(FormatError::new("header: magic", bytes[..8].escape_ascii(), "PBGITREE"));
         }
         if read_u32(bytes, 8) != FORMAT_VERSION {
-            return Err(FormatError::new("header: version", read_u32(bytes, 8), FORMAT_VERSION));
+            let cure = format!(
+                "{FORMAT_VERSION}: bake older files again, read newer ones with a newer program"
+            );
+            return Err(FormatError::new("header: version", read_u32(bytes, 8), cure));
         }
         let checksum = crate::page_checksum(&bytes[..HEADER_BYTES - 8]);
         let stored = read_u64(bytes, HEADER_BYTES - 8);

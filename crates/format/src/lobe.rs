@@ -1,7 +1,7 @@
 //! The directional form of a node: how much area it shows, and what radiance, in each direction.
 
 use crate::{Channels, MiniFloat, read_u16, read_u32};
-use pbgi_math::{SharedExponent, Vec3, decode_octahedral24, encode_octahedral24};
+use pbgi_math::{SharedExponent, Stencil, Vec3, decode_octahedral24, encode_octahedral24};
 
 /// Most lobes a node may have.
 pub const LOBES_MAX: usize = 4;
@@ -36,8 +36,10 @@ pub struct Lobe {
     /// Where the surfels' plane lies: height of their centroid along `vector` over the center of the node's stored box, as
     /// a share of how far the box reaches in that direction, −1..=1.
     pub height: f32,
-    /// Area of the surfels, seen along `vector`, over that of the section of the box by that plane, 0..=1.
+    /// Area of the surfels, seen along `vector`, over that of what the stencil leaves of the section of the box by that plane, 0..=1.
     pub fill: f32,
+    /// Where in the node's stored box the surfels lie, seen along the largest axis of the decoded vector ([`pbgi_math::stencil_axis`]).
+    pub stencil: Stencil,
 }
 
 impl Lobe {
@@ -80,7 +82,7 @@ impl Lobe {
         }
     }
 
-    /// Appends the stored form; `area` is the file's codec of areas, radiance is divided by
+    /// Appends the stored form but for the stencil, which the group has; `area` is the file's codec of areas, radiance is divided by
     /// `radiance_scale`.
     pub fn write(
         &self,
@@ -105,7 +107,13 @@ impl Lobe {
         }
     }
 
-    /// Reads the stored form at the start of `bytes`.
+    /// The direction of a vector area as a reader finds it.
+    #[must_use]
+    pub fn decoded_direction(vector: Vec3) -> Vec3 {
+        decode_octahedral24(encode_octahedral24(vector.normalize_or(Vec3::Z)))
+    }
+
+    /// Reads the stored form at the start of `bytes`; the stencil is full.
     #[must_use]
     #[inline(always)]
     pub fn read(bytes: &[u8], channels: Channels, area: MiniFloat, radiance_scale: f32) -> Self {
@@ -125,6 +133,7 @@ impl Lobe {
             },
             height: (f32::from((place >> 24) as u8 as i8) * (1.0 / 127.0)).max(-1.0),
             fill: f32::from(bytes[7]) * (1.0 / 255.0),
+            stencil: Stencil::FULL,
         }
     }
 }
@@ -153,6 +162,7 @@ mod tests {
             radiance: [10.0, 5.0, 1.0],
             height: -0.7,
             fill: 0.6,
+            stencil: Stencil::FULL,
         };
         let area = MiniFloat::covering(2.0);
         for channels in [Channels::Occlusion, Channels::Rgb] {

@@ -330,7 +330,7 @@ mod tests {
 
     /// A page of groups whose two children are as given, offsets counted in groups.
     fn page_of(groups: &[[ChildLink; 2]], links: &[ExternalLink]) -> Vec<u8> {
-        let size = crate::group_bytes(2, 2, Channels::Occlusion) as u32;
+        let size = crate::group_bytes(2, &[Lobe::default(); 2], Channels::Occlusion) as u32;
         let bounds = Aabb { min: Vec3::ZERO, max: Vec3::ONE };
         let mut page = vec![0; NODE_PAGE_HEADER_BYTES];
         for children in groups {

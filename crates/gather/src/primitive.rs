@@ -222,6 +222,7 @@ pub(crate) fn piece_ink(cluster: &Cluster, piece: &Piece, veil: Veil) -> Ink {
 /// Where a piece of a cluster lies, and which share of it is there.
 #[inline(always)]
 pub(crate) fn piece_shape(cluster: &Cluster, piece: &Piece) -> (Section, Veil) {
-    let section = Section { inverse: piece.inverse, low: piece.low, high: piece.high };
+    let &Piece { inverse, low, high, stencil, axis, .. } = piece;
+    let section = Section { inverse, low, high, stencil, axis };
     (section, Veil { start: piece.start, end: piece.end, seed: cluster.seed })
 }

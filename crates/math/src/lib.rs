@@ -13,6 +13,7 @@ mod section;
 mod sh;
 mod silhouette;
 mod solid_angle;
+mod stencil;
 mod tile;
 
 pub use bounds::{Aabb, Cone};
@@ -29,6 +30,7 @@ pub use section::{central_section_area, section_area};
 pub use sh::{SH_COUNT, Sh9, clamped_cosine_sh, evaluate_sh_basis};
 pub use silhouette::box_silhouette;
 pub use solid_angle::{patch_solid_angle_factor, sphere_sin2_for_solid_angle, sphere_solid_angle};
+pub use stencil::{STENCIL_EDGE, Stencil, StencilSum, stencil_axis};
 pub use tile::{
     FootCode, TileCode, rectangle_half_edges, triangle_base, triangle_corners, triangle_radius,
 };

@@ -1,7 +1,7 @@
 //! What is drawn: pieces of planes, cut out by boxes, circles, rectangles or triangles, and which directions meet them.
 
 use crate::lanes::Lanes;
-use pbgi_math::{Aabb, CubeFace, Vec3};
+use pbgi_math::{Aabb, CubeFace, STENCIL_EDGE, Stencil, Vec3};
 
 /// A part of a plane that does not contain the receiver.
 ///
@@ -61,6 +61,10 @@ pub struct Section {
     pub low: Vec3,
     /// Largest corner, larger along every axis.
     pub high: Vec3,
+    /// Where in the box the piece lies, seen along `axis`; all of the section where it is full.
+    pub stencil: Stencil,
+    /// Axis along which the stencil is looked at.
+    pub axis: u8,
 }
 
 impl Shape for Section {
@@ -71,15 +75,36 @@ impl Shape for Section {
 
     #[inline(always)]
     fn turned(&self, face: CubeFace) -> Self {
-        let (a, b) = (turn(self.low, face), turn(self.high, face));
-        Self { inverse: turn(self.inverse, face), low: a.min(b), high: a.max(b) }
+        // Corners keep their order, for the stencil: along the face's axis the low one may be the larger.
+        let axis = (self.axis + 3 - (face.axis() & 3) as u8) % 3;
+        Self {
+            inverse: turn(self.inverse, face),
+            low: turn(self.low, face),
+            high: turn(self.high, face),
+            axis,
+            ..*self
+        }
     }
 
     /// The point `D/w` is inside where `low·w ≤ D ≤ high·w` along every axis. No negative `w` satisfies both.
     #[inline(always)]
     fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> u16 {
         let [x, y, z] = direction;
-        let (low, high) = (self.low, self.high);
+        if self.stencil != Stencil::FULL {
+            let (a, b, at) = match self.axis {
+                0 => (y, z, [1, 2]),
+                1 => (z, x, [2, 0]),
+                _ => (x, y, [0, 1]),
+            };
+            let far = L::splat(1.0).div(w);
+            let cell = |along: L, i: usize| {
+                let scale = STENCIL_EDGE as f32 / (self.high[at[i]] - self.low[at[i]]);
+                along.mul(far).sub(L::splat(self.low[at[i]])).mul(L::splat(scale))
+            };
+            let in_front = L::bits(L::splat(f32::MIN_POSITIVE).le(w));
+            return cell(a, 0).in_cells(cell(b, 1), self.stencil.0) & in_front;
+        }
+        let (low, high) = (self.low.min(self.high), self.low.max(self.high));
         let xy = L::and(slab(x, w, low.x, high.x), slab(y, w, low.y, high.y));
         L::bits(L::and(xy, slab(z, w, low.z, high.z)))
     }
@@ -226,5 +251,84 @@ impl Shape for Triangle {
         let within = L::and(zero.le(along(direction, a)), zero.le(along(direction, b)));
         let in_front = L::and(zero.le(along(direction, c)), zero.le(w));
         L::bits(L::and(L::and(within, in_front), is_far(direction, w, self.distance_min)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lanes::SAMPLES;
+    use crate::{SimdLevel, WideKernel, run_wide};
+
+    /// Which of sixteen directions meet a section.
+    struct Meets {
+        section: Section,
+        directions: [Vec3; SAMPLES],
+    }
+
+    impl WideKernel for Meets {
+        type Output = u16;
+
+        #[inline(always)]
+        fn run<L: Lanes>(self) -> u16 {
+            let lane = |axis: usize| {
+                let along: [f32; SAMPLES] = std::array::from_fn(|i| self.directions[i][axis]);
+                L::load(&along)
+            };
+            let direction = [lane(0), lane(1), lane(2)];
+            self.section.meets(direction, along(direction, self.section.inverse))
+        }
+    }
+
+    /// Numbers in −1..=1.
+    fn random(seed: &mut u32) -> f32 {
+        *seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (*seed >> 8) as f32 / (1 << 23) as f32 - 1.0
+    }
+
+    #[test]
+    fn stencils_are_met_in_their_covered_cells_at_every_level() {
+        let mut seed = 3;
+        let mut met_count = 0;
+        for round in 0..2000 {
+            let mut vector = || Vec3::new(random(&mut seed), random(&mut seed), random(&mut seed));
+            let normal = vector().normalize();
+            let (center, half) = (vector() * 2.0, vector().abs() + 0.05);
+            let axis = pbgi_math::stencil_axis(normal);
+            let bits = u64::from(vector().x.to_bits()) << 32 | u64::from(vector().y.to_bits());
+            let section = Section {
+                inverse: normal / normal.dot(center),
+                low: center - half,
+                high: center + half,
+                stencil: Stencil(bits),
+                axis: axis as u8,
+            };
+            let directions = std::array::from_fn(|_| center + vector() * 1.2);
+            let mut expected = 0u16;
+            for (lane, d) in directions.iter().enumerate() {
+                let w = section.inverse.dot(*d);
+                let cell = (*d / w - section.low) / (2.0 * half) * STENCIL_EDGE as f32;
+                let [a, b] = [cell[(axis + 1) % 3], cell[(axis + 2) % 3]];
+                let inside = w > 0.0 && (0.0..8.0).contains(&a) && (0.0..8.0).contains(&b);
+                let is_met = inside && bits >> (8 * b as u32 + a as u32) & 1 != 0;
+                expected |= u16::from(is_met) << lane;
+            }
+            met_count += expected.count_ones();
+            for level in SimdLevel::available() {
+                let met = run_wide(level, Meets { section, directions });
+                // Rounding may move a direction over the border of a cell.
+                assert!((met ^ expected).count_ones() <= 1, "{round} {level:?}: {section:?}");
+                let same = run_wide(SimdLevel::Baseline, Meets { section, directions });
+                assert_eq!(met, same, "{round} {level:?}");
+            }
+            // In the coordinates of a face it is the same section.
+            for face in CubeFace::ALL {
+                let turned = directions.map(|d| turn(d, face));
+                let meets = Meets { section: section.turned(face), directions: turned };
+                let met = run_wide(SimdLevel::Baseline, meets);
+                assert!((met ^ expected).count_ones() <= 1, "{round} {face:?}");
+            }
+        }
+        assert!(met_count > 2000, "{met_count}");
     }
 }

@@ -13,7 +13,7 @@ fn ink(solid_angle: f32, light: f32) -> Ink {
 /// Draws the part of the plane through `point` with `normal` in a box.
 fn draw_section(raster: &mut CubeRaster, (low, high): (Vec3, Vec3), normal: Vec3, ink: &Ink) {
     let point = (low + high) * 0.5;
-    let section = Section { inverse: normal / normal.dot(point), low, high };
+    let section = Section { inverse: normal / normal.dot(point), low, high, ..Section::default() };
     let footprint = raster.footprint(low, high);
     raster.draw::<Plain, _>(&[(section, *ink)], &footprint, point);
 }
@@ -400,7 +400,8 @@ impl WideKernel for Everything {
                 let disk = Disk { inverse, center, radius, distance_min: 0.5 };
                 raster.draw::<L, _>(&[(disk, ink)], &footprint, center);
             } else {
-                let section = Section { inverse, low: aabb.min, high: aabb.max };
+                let section =
+                    Section { inverse, low: aabb.min, high: aabb.max, ..Section::default() };
                 raster.draw::<L, _>(&[(section, ink)], &footprint, center);
             }
         }
