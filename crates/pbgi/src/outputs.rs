@@ -7,7 +7,7 @@ use crate::PbgiError;
 use pbgi_file::{FileId, folder_of, kind_name};
 use std::collections::HashMap;
 use std::fs::{File, Metadata};
-use std::io::{ErrorKind, Read, Seek};
+use std::io::{ErrorKind, Read, Seek, Write};
 use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 
@@ -241,12 +241,28 @@ pub fn check_writable(path: &Path) -> Result<(), PbgiError> {
     }
     let folder = folder_of(path);
     if !folder.is_dir() {
-        let text = format!("there is no folder {}; make it first", folder.display());
+        let text =
+            format!("there is no folder {0}; make it first (mkdir -p {0})", folder.display());
         let missing = std::io::Error::new(ErrorKind::NotFound, text);
         return Err(PbgiError::output(path, "create", missing));
     }
     let created = pbgi_file::AtomicFile::create(path);
     created.map(drop).map_err(|e| PbgiError::output(path, "create", e))
+}
+
+/// Writes `value` as JSON to the file `path`, which appears when it is complete.
+///
+/// # Errors
+///
+/// [`PbgiError::Output`] if it cannot be written.
+pub fn write_statistics(path: &Path, value: &impl serde::Serialize) -> Result<(), PbgiError> {
+    let mut text = serde_json::to_string_pretty(value)
+        .map_err(|e| PbgiError::failed(format!("statistics cannot be written as JSON: {e}")))?;
+    text.push('\n');
+    let mut file =
+        pbgi_file::AtomicFile::create(path).map_err(|e| PbgiError::output(path, "create", e))?;
+    file.write_all(text.as_bytes()).map_err(|e| PbgiError::output(path, "write", e))?;
+    file.commit().map_err(|e| PbgiError::output(path, e.action, e.source))
 }
 
 #[cfg(test)]
