@@ -4,11 +4,10 @@
 //! by one of its own kind; what is no regular file is written in place, or refused.
 
 use crate::PbgiError;
-use pbgi_file::{FileId, folder_of, kind_name};
+use pbgi_file::{FileId, folder_of, kind_name, platform};
 use std::collections::HashMap;
 use std::fs::{File, Metadata};
 use std::io::{ErrorKind, Read, Seek, Write};
-use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 
 /// What is written to a file, as its first bytes tell.
@@ -149,7 +148,7 @@ impl RunFiles {
         }
         let place = match std::fs::metadata(path) {
             Ok(found) if found.is_file() => {
-                let id = FileId::from(&found);
+                let id = FileId::of(path).map_err(|e| PbgiError::output(path, "look at", e))?;
                 if let Some(input) = self.inputs.get(&id) {
                     return Err(is_input(option, path, input));
                 }
@@ -212,13 +211,16 @@ fn check_replaced(output: &Output<'_>) -> Result<(), PbgiError> {
 fn check_special(output: &Output<'_>, found: &Metadata) -> Result<(), PbgiError> {
     let Output { option, path, kind, .. } = *output;
     let special = found.file_type();
-    let can_stream = kind.can_stream() && (special.is_char_device() || special.is_fifo());
+    let can_stream =
+        kind.can_stream() && (platform::is_character_device(special) || platform::is_pipe(special));
     // What is written is gone over again at its end.
     let can_seek = || {
         let opened = File::options().write(true).open(path);
         opened.and_then(|mut device| device.stream_position()).is_ok()
     };
-    if can_stream || (kind != OutputKind::Octree && special.is_char_device() && can_seek()) {
+    if can_stream
+        || (kind != OutputKind::Octree && platform::is_character_device(special) && can_seek())
+    {
         return Ok(());
     }
     Err(PbgiError::usage(format!(

@@ -218,7 +218,13 @@ pub struct AnimationArgs {
     #[arg(long, value_name = "RANGE", value_parser = Frames::parse)]
     pub frames: Option<Frames>,
     /// Turn of the environment per frame number: none at frame 0
-    #[arg(long, value_name = "DEGREES", requires = "frames", allow_hyphen_values = true)]
+    #[arg(
+        long,
+        value_name = "DEGREES",
+        requires = "frames",
+        allow_hyphen_values = true,
+        hide_short_help = true
+    )]
     pub env_turn: Option<f32>,
     /// Turn of --camera-position about the upward line through its target, per frame number
     #[arg(long, value_name = "DEGREES", default_value_t = 0.0, requires_all = ["frames", "camera_position"],
@@ -264,8 +270,8 @@ impl GlossArgs {
 pub struct QualityArgs {
     /// Cut error by name: draft is 10%, medium 4%, final 1%
     ///
-    /// The same as --target-error with that value.
-    #[arg(long, value_enum, value_name = "PRESET", conflicts_with_all = ["solid_angle", "target_error"])]
+    /// draft, medium or final: the same as --target-error with that value.
+    #[arg(long, value_enum, hide_possible_values = true, value_name = "PRESET", conflicts_with_all = ["solid_angle", "target_error"])]
     pub quality: Option<QualityPreset>,
     /// Cut error to choose the solid angle for, such as 2%
     ///
@@ -349,8 +355,14 @@ pub struct OutputArgs {
     /// Channels, by Arnold's names and `beauty`, or `all`
     #[arg(long, value_name = "LIST", default_value = "all")]
     pub aovs: String,
-    /// Names of the channels
-    #[arg(long, value_enum, value_name = "PRESET", default_value = "arnold")]
+    /// Names of the channels: arnold, blender or renderman
+    #[arg(
+        long,
+        value_enum,
+        value_name = "PRESET",
+        default_value = "arnold",
+        hide_possible_values = true
+    )]
     pub aov_names: NamePreset,
     /// Picture for the eye, with a filmic curve
     #[arg(long, value_name = "PNG")]

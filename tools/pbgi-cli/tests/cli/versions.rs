@@ -8,8 +8,8 @@ fn files_of_other_versions_are_refused_with_the_version_and_the_cure() {
     let sound = std::fs::read(octree()).unwrap();
     let current = u32::from_le_bytes(sound[8..12].try_into().unwrap());
     for (version, cure) in [
-        (1, "bake it again"),
-        (current - 1, "bake it again"),
+        (1, "of an older program"),
+        (current - 1, "of an older program"),
         (current + 1, "of a newer program"),
         (u32::MAX, "of a newer program"),
     ] {
