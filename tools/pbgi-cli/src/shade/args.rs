@@ -118,7 +118,7 @@ pub struct ViewArgs {
     #[arg(long, value_name = "DEGREES", conflicts_with = "camera")]
     pub fov: Option<f32>,
     /// What is up in the picture [default: the file's up axis]
-    #[arg(long, value_name = "X,Y,Z", requires = "camera_position", value_parser = parse_triple,
+    #[arg(long = "camera-up", alias = "up", value_name = "X,Y,Z", requires = "camera_position", value_parser = parse_triple,
           allow_hyphen_values = true, hide_short_help = true)]
     pub up: Option<[f32; 3]>,
     /// Size of the picture in pixels
