@@ -3,8 +3,8 @@
 
 use anyhow::{Context, Result, bail};
 use clap::{Parser, ValueEnum};
-use pbgi::cli;
 use pbgi_benches::{SURFEL_COLUMNS, surfel_row};
+use pbgi_cli::cli;
 use pbgi_cloud::{
     CloudError, CloudOptions, PlyWriter, RawKind, Surfel, SurfelSource, open_cloud, write_raw_file,
 };

@@ -25,7 +25,7 @@ struct Arguments {
     #[arg(long, default_value = "bench-data")]
     folder: PathBuf,
     /// Surfels of the street.
-    #[arg(long, default_value = "50M", value_parser = pbgi::cli::parse_count)]
+    #[arg(long, default_value = "50M", value_parser = pbgi_cli::cli::parse_count)]
     surfels: u64,
     /// Receivers of each kind.
     #[arg(long, default_value_t = 40_000)]

@@ -10,22 +10,23 @@ pub fn run(workspace: &Workspace, surfels: &str, folder: &str) -> Result<(), Str
     let root = workspace.root();
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let mut build = Command::new(cargo);
-    build.args(["build", "--release"]);
-    for tool in ["bake", "info", "shade"] {
-        build.args(["--package", &format!("pbgi-{tool}")]);
-    }
+    build.args(["build", "--release", "--package", "pbgi-cli", "--bin", "pbgi"]);
     succeed(build.current_dir(root))?;
     let target =
         std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), Into::into);
-    let tool = |name: &str| Command::new(target.join("release").join(name));
+    let tool = |name: &str| {
+        let mut command = Command::new(target.join("release").join("pbgi"));
+        command.arg(name);
+        command
+    };
     let scene = format!("demo:street?surfels={surfels}");
     let octree = Path::new(folder).join("billion.pbgi");
     let picture = Path::new(folder).join("billion.exr");
     let limit = ["--memory-limit", "1GiB"];
     let steps = || {
-        succeed(tool("pbgi-bake").arg(&scene).arg("-o").arg(&octree).args(limit).arg("--force"))?;
-        succeed(tool("pbgi-info").arg(&octree).arg("--verify").args(limit))?;
-        let mut shade = tool("pbgi-shade");
+        succeed(tool("bake").arg(&scene).arg("-o").arg(&octree).args(limit).arg("--force"))?;
+        succeed(tool("info").arg(&octree).arg("--verify").args(limit))?;
+        let mut shade = tool("shade");
         shade.arg(&octree).args(["--scene", "demo:street", "-o"]).arg(&picture).args(limit);
         shade.args(["--resolution", "320x180", "--env-color", "1,1,1", "--check", "2", "--force"]);
         succeed(&mut shade)

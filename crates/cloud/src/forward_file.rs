@@ -2,10 +2,9 @@
 
 use crate::CloudError;
 use pbgi_file::open_input;
-use rustix::fs::{Advice, fadvise};
+use pbgi_file::platform::forget_cached;
 use std::fs::File;
 use std::io::Read;
-use std::num::NonZeroU64;
 use std::path::Path;
 
 /// Longer files leave nothing in the system's page cache: they would only drive other things out, and pages that are used again at once
@@ -41,8 +40,7 @@ impl ForwardFile {
     fn drop_pages(&mut self) {
         // Once more what lies before, as large pages that reach beyond their window stay.
         let start = self.dropped.saturating_sub(WINDOW_BYTES);
-        // Where the system does not take the hint, its cache is as it would have been.
-        let _ = fadvise(&self.file, start, NonZeroU64::new(self.read - start), Advice::DontNeed);
+        forget_cached(&self.file, start, self.read - start);
         self.dropped = self.read;
     }
 }
@@ -59,9 +57,10 @@ impl Read for ForwardFile {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, target_os = "linux"))]
 mod tests {
     use super::*;
+    use rustix::fs::{Advice, fadvise};
     use rustix::io::{Errno, ReadWriteFlags, preadv2};
     use std::io::{IoSliceMut, Write};
 

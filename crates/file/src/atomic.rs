@@ -1,12 +1,10 @@
 //! Files that appear whole or not at all.
 
+use crate::platform::{self, sync_folder};
 use crate::temporary::create_beside;
 use crate::{folder_of, kind_name};
-use rustix::fs::OFlags;
-use rustix::io::Errno;
 use std::fs::{File, FileType};
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
-use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use tempfile::TempPath;
 
@@ -88,36 +86,11 @@ fn see_through(path: &Path) -> io::Result<PathBuf> {
 }
 
 fn open_in_place(path: &Path, kind: FileType) -> io::Result<File> {
-    if !(kind.is_char_device() || kind.is_fifo()) {
+    if !(platform::is_character_device(kind) || platform::is_pipe(kind)) {
         let text = format!("it is {}, expected a regular file", kind_name(kind));
         return Err(io::Error::new(io::ErrorKind::InvalidInput, text));
     }
-    // A reader of a pipe is not waited for; writing is, once there is one.
-    let flags = (OFlags::NONBLOCK | OFlags::NOCTTY).bits() as i32;
-    let opened = File::options().write(true).custom_flags(flags).open(path);
-    let file = opened.map_err(|e| match Errno::from_io_error(&e) {
-        Some(Errno::NXIO) => io::Error::new(e.kind(), "nobody reads the pipe"),
-        _ => e,
-    })?;
-    let flags = rustix::fs::fcntl_getfl(&file)?;
-    rustix::fs::fcntl_setfl(&file, flags - OFlags::NONBLOCK)?;
-    Ok(file)
-}
-
-/// Syncs a folder, where its file system can and it may be opened.
-fn sync_folder(folder: &Path) -> io::Result<()> {
-    match File::open(folder).and_then(|folder| folder.sync_all()) {
-        Err(e)
-            if e.kind() == io::ErrorKind::PermissionDenied
-                || matches!(
-                    Errno::from_io_error(&e),
-                    Some(Errno::INVAL | Errno::NOTSUP | Errno::NOSYS)
-                ) =>
-        {
-            Ok(())
-        }
-        result => result,
-    }
+    platform::open_in_place(path)
 }
 
 impl Write for AtomicFile {
@@ -136,11 +109,13 @@ impl Seek for AtomicFile {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, unix))]
 mod tests {
     use super::*;
+    use rustix::fs::OFlags;
     use rustix::fs::{CWD, Mode};
     use std::io::Read;
+    use std::os::unix::fs::OpenOptionsExt;
 
     fn write(path: &Path, text: &str) -> Result<(), StepError> {
         let step = |source| StepError { action: "create", source };

@@ -1,8 +1,7 @@
 //! Which file a name means, and whether it is as it was.
 
-use std::fs::Metadata;
+use crate::platform::{identity_of, stamps_of};
 use std::io;
-use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
 /// What tells a file from all others, whatever names lead to it: device and inode.
@@ -19,24 +18,22 @@ impl FileId {
     ///
     /// If there is none, or the system does not tell.
     pub fn of(path: &Path) -> io::Result<Self> {
-        Ok(Self::from(&std::fs::metadata(path)?))
+        let [device, inode] = identity_of(path)?;
+        Ok(Self { device, inode })
+    }
+
+    /// Whether two files or folders lie in one file system.
+    #[must_use]
+    pub fn is_on_disk_of(&self, other: &Self) -> bool {
+        self.device == other.device
     }
 }
 
-impl From<&Metadata> for FileId {
-    fn from(metadata: &Metadata) -> Self {
-        Self { device: metadata.dev(), inode: metadata.ino() }
-    }
-}
-
-/// What changes whenever the content of a file does: its inode and length, and when content and inode were last written. Nobody can set
-/// the last of these.
+/// What changes whenever the content of a file does: its length, and what the system stamps on it ([`stamps_of`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct FileState {
-    inode: u64,
     bytes: u64,
-    modified_ns: [i64; 2],
-    changed_ns: [i64; 2],
+    stamps: [i64; 5],
 }
 
 impl FileState {
@@ -44,16 +41,11 @@ impl FileState {
     #[must_use]
     pub fn of(path: &Path) -> Option<Self> {
         let metadata = std::fs::metadata(path).ok()?;
-        Some(Self {
-            inode: metadata.ino(),
-            bytes: metadata.len(),
-            modified_ns: [metadata.mtime(), metadata.mtime_nsec()],
-            changed_ns: [metadata.ctime(), metadata.ctime_nsec()],
-        })
+        Some(Self { bytes: metadata.len(), stamps: stamps_of(&metadata) })
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, unix))]
 mod tests {
     use super::*;
 

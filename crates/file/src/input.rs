@@ -1,9 +1,8 @@
 //! Files that are read.
 
-use rustix::fs::OFlags;
+use crate::platform::{is_pipe, is_socket, open_without_waiting};
 use std::fs::{File, FileType};
 use std::io::{self, Read};
-use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::path::Path;
 
 /// Opens a regular file for reading.
@@ -16,8 +15,7 @@ use std::path::Path;
 pub fn open_input(path: &Path) -> io::Result<File> {
     check_regular(std::fs::metadata(path)?.file_type())?;
     // Should it have become a pipe since, it is not waited for.
-    let flags = (OFlags::NONBLOCK | OFlags::NOCTTY).bits() as i32;
-    let file = File::options().read(true).custom_flags(flags).open(path)?;
+    let file = open_without_waiting(path)?;
     check_regular(file.metadata()?.file_type())?;
     Ok(file)
 }
@@ -60,16 +58,16 @@ pub fn kind_name(kind: FileType) -> &'static str {
         "a folder"
     } else if kind.is_symlink() {
         "a link"
-    } else if kind.is_fifo() {
+    } else if is_pipe(kind) {
         "a pipe"
-    } else if kind.is_socket() {
+    } else if is_socket(kind) {
         "a socket"
     } else {
         "a device"
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, unix))]
 mod tests {
     use super::*;
     use rustix::fs::{CWD, Mode};

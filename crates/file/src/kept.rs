@@ -3,14 +3,12 @@
 //! Their names must be found again, and yet nobody may put a link there beforehand: they have a random part, are made new, and are
 //! taken up only if they are regular files of this user with one name.
 
+use crate::platform::{create_private, is_ours_alone, open_unfollowed};
 use crate::temporary::is_temporary_name;
-use rustix::fs::OFlags;
-use std::ffi::{OsStr, OsString};
-use std::fs::{File, Metadata};
+use std::ffi::OsString;
+use std::fs::File;
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io;
-use std::os::unix::ffi::OsStrExt;
-use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 /// Hexadecimal digits of the random part.
@@ -54,7 +52,7 @@ impl KeptFiles {
     /// If a file of this user is there and cannot be removed.
     pub fn remove(&self, but: Option<&Path>) -> io::Result<()> {
         for Entry { path, stem, is_temporary } in self.entries() {
-            let is_ours = std::fs::symlink_metadata(&path).is_ok_and(|found| is_ours(&found));
+            let is_ours = std::fs::symlink_metadata(&path).is_ok_and(|found| is_ours_alone(&found));
             if is_ours && (is_temporary || but != Some(stem.as_path())) {
                 std::fs::remove_file(&path)?;
             }
@@ -68,21 +66,26 @@ impl KeptFiles {
         entries.filter_map(|entry| {
             let name = entry.file_name();
             let path = self.folder.join(&name);
-            let temporary = name.as_bytes().strip_prefix(b".").filter(|_| is_temporary_name(&name));
+            let temporary =
+                name.as_encoded_bytes().strip_prefix(b".").filter(|_| is_temporary_name(&name));
             let (name, is_temporary) = match temporary.and_then(|name| self.stem_of(name)) {
                 Some(stem) => (stem, true),
-                None => (self.stem_of(name.as_bytes())?, false),
+                None => (self.stem_of(name.as_encoded_bytes())?, false),
             };
             Some(Entry { path, stem: self.folder.join(name), is_temporary })
         })
     }
 
     /// The part of a kept file's name before its extension.
-    fn stem_of<'n>(&self, name: &'n [u8]) -> Option<&'n OsStr> {
-        let rest = name.strip_prefix(self.prefix.as_bytes())?.strip_prefix(b"-")?;
+    fn stem_of(&self, name: &[u8]) -> Option<OsString> {
+        let rest = name.strip_prefix(self.prefix.as_encoded_bytes())?.strip_prefix(b"-")?;
         let (digits, rest) = rest.split_at_checked(RANDOM_DIGITS)?;
         let is_kept = digits.iter().all(u8::is_ascii_hexdigit) && rest.starts_with(b".");
-        is_kept.then(|| OsStr::from_bytes(&name[..name.len() - rest.len()]))
+        is_kept.then(|| {
+            let mut stem = self.prefix.clone();
+            stem.push(format!("-{}", digits.escape_ascii()));
+            stem
+        })
     }
 }
 
@@ -105,7 +108,7 @@ pub fn create_new(path: &Path) -> io::Result<File> {
         Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(e),
         _ => {}
     }
-    File::options().read(true).write(true).create_new(true).mode(0o600).open(path)
+    create_private(path)
 }
 
 /// Opens a kept file to be read and written.
@@ -114,20 +117,14 @@ pub fn create_new(path: &Path) -> io::Result<File> {
 ///
 /// If it is a link, no regular file, has another name, or belongs to another user.
 pub fn open_kept(path: &Path) -> io::Result<File> {
-    let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits() as i32;
-    let file = File::options().read(true).write(true).custom_flags(flags).open(path)?;
-    if is_ours(&file.metadata()?) {
+    let file = open_unfollowed(path, true)?;
+    if is_ours_alone(&file.metadata()?) {
         return Ok(file);
     }
     Err(io::Error::new(io::ErrorKind::PermissionDenied, "it was made by somebody else"))
 }
 
-fn is_ours(found: &Metadata) -> bool {
-    let user = rustix::process::geteuid().as_raw();
-    found.is_file() && found.nlink() == 1 && found.uid() == user
-}
-
-#[cfg(test)]
+#[cfg(all(test, unix))]
 mod tests {
     use super::*;
     use crate::temporary::create_beside;

@@ -12,6 +12,7 @@ mod claim;
 mod id;
 mod input;
 mod kept;
+pub mod platform;
 mod temporary;
 
 pub use allowance::{Allowance, Excess};

@@ -3,17 +3,14 @@
 //! They are called `.NAME.RANDOM.pbgi-tmp`, are made new, and are locked as long as their run lives: what is not locked was left.
 
 use crate::folder_of;
-use rustix::fs::{FlockOperation, OFlags, flock};
-use rustix::io::Errno;
+use crate::platform::{has_name, name_of_bytes, open_unfollowed, use_ordinary_permissions};
 use std::ffi::{OsStr, OsString};
-use std::fs::{File, Permissions};
+use std::fs::{File, TryLockError};
 use std::io;
-use std::os::unix::ffi::{OsStrExt, OsStringExt};
-use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::Path;
 use tempfile::NamedTempFile;
 
-const SUFFIX: &[u8] = b".pbgi-tmp";
+const SUFFIX: &str = ".pbgi-tmp";
 
 /// Random letters of a name.
 const RANDOM_LETTERS: usize = 12;
@@ -29,13 +26,14 @@ fn prefix_of(target: &Path) -> io::Result<OsString> {
     let name = target.file_name().ok_or_else(|| {
         io::Error::new(io::ErrorKind::InvalidInput, "the path does not end in a file name")
     })?;
-    let name = &name.as_bytes()[..name.len().min(NAME_BYTES_MAX)];
-    Ok(OsString::from_vec([b".", name, b"."].concat()))
+    let name = &name.as_encoded_bytes()[..name.len().min(NAME_BYTES_MAX)];
+    Ok(name_of_bytes(&[b".", name, b"."].concat()))
 }
 
 /// Whether a file is called like one that is to become another.
 pub(crate) fn is_temporary_name(name: &OsStr) -> bool {
-    name.as_bytes().starts_with(b".") && name.as_bytes().ends_with(SUFFIX)
+    name.as_encoded_bytes().starts_with(b".")
+        && name.as_encoded_bytes().ends_with(SUFFIX.as_bytes())
 }
 
 /// Makes a new file beside `target`, which is locked, and removes those that killed runs have left for it.
@@ -43,14 +41,14 @@ pub(crate) fn create_beside(target: &Path) -> io::Result<NamedTempFile> {
     remove_left(target)?;
     let prefix = prefix_of(target)?;
     let mut builder = tempfile::Builder::new();
-    builder.prefix(&prefix).suffix(OsStr::from_bytes(SUFFIX)).rand_bytes(RANDOM_LETTERS);
+    builder.prefix(&prefix).suffix(SUFFIX).rand_bytes(RANDOM_LETTERS);
     // It stays under its new name, with the permissions of ordinary files.
-    builder.permissions(Permissions::from_mode(0o666));
+    use_ordinary_permissions(&mut builder);
     for _ in 0..ATTEMPTS {
         let file = builder.tempfile_in(folder_of(target))?;
         // Before it was locked, another run may have taken it for one that was left.
         let is_taken = matches!(try_lock(file.as_file()), Lock::Held);
-        if !is_taken && file.as_file().metadata()?.nlink() > 0 {
+        if !is_taken && has_name(file.as_file())? {
             return Ok(file);
         }
     }
@@ -61,8 +59,8 @@ pub(crate) fn create_beside(target: &Path) -> io::Result<NamedTempFile> {
 pub(crate) fn remove_left(target: &Path) -> io::Result<bool> {
     let prefix = prefix_of(target)?;
     let is_ours = |name: &OsStr| {
-        let rest = name.as_bytes().strip_prefix(prefix.as_bytes());
-        let letters = rest.and_then(|rest| rest.strip_suffix(SUFFIX));
+        let rest = name.as_encoded_bytes().strip_prefix(prefix.as_encoded_bytes());
+        let letters = rest.and_then(|rest| rest.strip_suffix(SUFFIX.as_bytes()));
         letters
             .is_some_and(|l| l.len() == RANDOM_LETTERS && l.iter().all(u8::is_ascii_alphanumeric))
     };
@@ -73,10 +71,7 @@ pub(crate) fn remove_left(target: &Path) -> io::Result<bool> {
         if !entry.file_type().is_ok_and(|kind| kind.is_file()) {
             continue;
         }
-        let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits() as i32;
-        let Ok(file) = File::options().read(true).custom_flags(flags).open(entry.path()) else {
-            continue;
-        };
+        let Ok(file) = open_unfollowed(&entry.path(), false) else { continue };
         match try_lock(&file) {
             Lock::Held => any_alive = true,
             // What cannot be removed stays as it is: it is litter only.
@@ -98,9 +93,9 @@ pub(crate) enum Lock {
 }
 
 pub(crate) fn try_lock(file: &File) -> Lock {
-    match flock(file, FlockOperation::NonBlockingLockExclusive) {
+    match file.try_lock() {
         Ok(()) => Lock::Taken,
-        Err(e) if e == Errno::WOULDBLOCK => Lock::Held,
-        Err(_) => Lock::Unknown,
+        Err(TryLockError::WouldBlock) => Lock::Held,
+        Err(TryLockError::Error(_)) => Lock::Unknown,
     }
 }

@@ -191,11 +191,14 @@ impl Header {
         if bytes[..8] != MAGIC {
             return Err(FormatError::new("header: magic", bytes[..8].escape_ascii(), "PBGITREE"));
         }
-        if read_u32(bytes, 8) != FORMAT_VERSION {
-            let cure = format!(
-                "{FORMAT_VERSION}: bake older files again, read newer ones with a newer program"
-            );
-            return Err(FormatError::new("header: version", read_u32(bytes, 8), cure));
+        let version = read_u32(bytes, 8);
+        if version != FORMAT_VERSION {
+            let cure = match version < FORMAT_VERSION {
+                true => "the file is of an older program: bake it again",
+                false => "the file is of a newer program, which reads it",
+            };
+            let expected = format_args!("{FORMAT_VERSION} ({cure})");
+            return Err(FormatError::new("header: version", version, expected));
         }
         let checksum = crate::page_checksum(&bytes[..HEADER_BYTES - 8]);
         let stored = read_u64(bytes, HEADER_BYTES - 8);

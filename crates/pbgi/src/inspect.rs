@@ -2,8 +2,8 @@
 
 use crate::PbgiError;
 use crate::budget::bake::reader_cache_bytes;
-use crate::cli::format_table;
-use crate::cli::progress::format_bytes;
+use crate::figures::format_bytes;
+use crate::figures::format_table;
 use pbgi_format::{Channels, FORMAT_VERSION, Lobe, PageKind};
 use pbgi_store::{Backend, Octree, OpenOptions, VerifyReport};
 use serde::Serialize;

@@ -8,32 +8,39 @@
 
 mod bake;
 mod budget;
-pub mod cli;
 mod error;
+pub mod figures;
+mod foreign;
 mod frame;
 mod gbuffer;
 mod inspect;
+mod output_path;
 mod outputs;
 mod points;
+mod progress;
 mod shade;
 
 pub use bake::bake;
-pub use bake::input::{DEFAULT_SURFELS, InputKind, Sampling, load_scene, load_scene_within};
+pub use bake::input::{
+    DEFAULT_SURFELS, InputKind, Sampling, is_octree, load_scene, load_scene_within,
+};
 pub use bake::relight::{BOUNCES_MAX, LightRequest};
 pub use bake::report::{BakeReport, BytesPerSurfel, PhaseReport};
 pub use bake::request::{BakeRequest, NormalsChoice};
+pub use budget::limit::{MEMORY_LIMIT_MIN, check_memory_limit};
 pub use budget::resident::{peak_resident_bytes, resident_bytes};
 pub use budget::split::MemorySplit;
-pub use cli::output_path::check_suffix;
-pub use cli::progress::{Phase, Progress, ProgressMode, Verbosity};
-pub use error::PbgiError;
+pub use error::{
+    EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED, EXIT_MISUSED, EXIT_RESOURCES, PbgiError,
+};
 pub use frame::camera_choice::CameraChoice;
 pub use frame::request::{FRAME_AOVS, FrameRequest};
 pub use frame::{Frame, shade_frame};
 pub use gbuffer::surfaces::GBufferSpace;
 pub use gbuffer::{GBUFFER_AOVS, GBufferRequest, shade_gbuffer};
 pub use inspect::{LevelInfo, OctreeCheck, OctreeInfo};
-pub use outputs::{Output, OutputKind, RunFiles, check_writable};
+pub use output_path::check_suffix;
+pub use outputs::{Output, OutputKind, RunFiles, check_writable, write_statistics};
 pub use pbgi_cloud::{ClassFilter, CloudOptions, InvalidPolicy, PlyWriter};
 pub use pbgi_gather::{ImportanceTerms, Material};
 pub use pbgi_image::{Aov, AovNames, AovPreset, write_environment_exr};
@@ -42,6 +49,7 @@ pub use pbgi_scene::{ProceduralScene, Scene, TwoSided, procedural_scene};
 pub use pbgi_store::Backend;
 pub use points::export::export_points;
 pub use points::{PointSource, PointsRequest, shade_points};
+pub use progress::{Phase, Progress, ProgressMode, Verbosity};
 pub use shade::check::{AloneReport, CheckReport};
 pub use shade::statistics::{CacheReport, CutReport, LevelReport};
 pub use shade::target::TargetReport;

@@ -4,11 +4,10 @@
 //! by one of its own kind; what is no regular file is written in place, or refused.
 
 use crate::PbgiError;
-use pbgi_file::{FileId, folder_of, kind_name};
+use pbgi_file::{FileId, folder_of, kind_name, platform};
 use std::collections::HashMap;
 use std::fs::{File, Metadata};
-use std::io::{ErrorKind, Read, Seek};
-use std::os::unix::fs::FileTypeExt;
+use std::io::{ErrorKind, Read, Seek, Write};
 use std::path::{Path, PathBuf};
 
 /// What is written to a file, as its first bytes tell.
@@ -149,7 +148,7 @@ impl RunFiles {
         }
         let place = match std::fs::metadata(path) {
             Ok(found) if found.is_file() => {
-                let id = FileId::from(&found);
+                let id = FileId::of(path).map_err(|e| PbgiError::output(path, "look at", e))?;
                 if let Some(input) = self.inputs.get(&id) {
                     return Err(is_input(option, path, input));
                 }
@@ -212,13 +211,16 @@ fn check_replaced(output: &Output<'_>) -> Result<(), PbgiError> {
 fn check_special(output: &Output<'_>, found: &Metadata) -> Result<(), PbgiError> {
     let Output { option, path, kind, .. } = *output;
     let special = found.file_type();
-    let can_stream = kind.can_stream() && (special.is_char_device() || special.is_fifo());
+    let can_stream =
+        kind.can_stream() && (platform::is_character_device(special) || platform::is_pipe(special));
     // What is written is gone over again at its end.
     let can_seek = || {
         let opened = File::options().write(true).open(path);
         opened.and_then(|mut device| device.stream_position()).is_ok()
     };
-    if can_stream || (kind != OutputKind::Octree && special.is_char_device() && can_seek()) {
+    if can_stream
+        || (kind != OutputKind::Octree && platform::is_character_device(special) && can_seek())
+    {
         return Ok(());
     }
     Err(PbgiError::usage(format!(
@@ -241,12 +243,28 @@ pub fn check_writable(path: &Path) -> Result<(), PbgiError> {
     }
     let folder = folder_of(path);
     if !folder.is_dir() {
-        let text = format!("there is no folder {}; make it first", folder.display());
+        let text =
+            format!("there is no folder {0}; make it first (mkdir -p {0})", folder.display());
         let missing = std::io::Error::new(ErrorKind::NotFound, text);
         return Err(PbgiError::output(path, "create", missing));
     }
     let created = pbgi_file::AtomicFile::create(path);
     created.map(drop).map_err(|e| PbgiError::output(path, "create", e))
+}
+
+/// Writes `value` as JSON to the file `path`, which appears when it is complete.
+///
+/// # Errors
+///
+/// [`PbgiError::Output`] if it cannot be written.
+pub fn write_statistics(path: &Path, value: &impl serde::Serialize) -> Result<(), PbgiError> {
+    let mut text = serde_json::to_string_pretty(value)
+        .map_err(|e| PbgiError::failed(format!("statistics cannot be written as JSON: {e}")))?;
+    text.push('\n');
+    let mut file =
+        pbgi_file::AtomicFile::create(path).map_err(|e| PbgiError::output(path, "create", e))?;
+    file.write_all(text.as_bytes()).map_err(|e| PbgiError::output(path, "write", e))?;
+    file.commit().map_err(|e| PbgiError::output(path, e.action, e.source))
 }
 
 #[cfg(test)]

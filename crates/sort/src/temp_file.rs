@@ -3,13 +3,11 @@
 use crate::SortError;
 use crate::aligned::ALIGNMENT;
 use pbgi_cloud::{CloudError, Surfel, SurfelSource};
+use pbgi_file::platform::{self, read_exact_at, write_all_at};
 use pbgi_file::{create_new, folder_of, open_kept};
 use pbgi_math::DVec3;
-use rustix::fs::{FallocateFlags, OFlags};
 use std::fs::File;
 use std::io;
-use std::os::fd::AsRawFd;
-use std::os::unix::fs::{FileExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 /// Bytes of a surfel as it is in memory, in this machine's byte order.
@@ -41,9 +39,7 @@ impl TempFile {
     }
 
     fn of(file: File, dir: PathBuf, len: u64) -> Self {
-        let name = format!("/proc/self/fd/{}", file.as_raw_fd());
-        let flags = OFlags::DIRECT.bits() as i32;
-        let direct = File::options().read(true).write(true).custom_flags(flags).open(name).ok();
+        let direct = platform::reopen_direct(&file);
         Self { file, direct, dir, len }
     }
 
@@ -86,8 +82,7 @@ impl TempFile {
 
     /// Appends bytes.
     pub fn append(&mut self, bytes: &[u8]) -> Result<(), SortError> {
-        self.file
-            .write_all_at(bytes, self.len)
+        write_all_at(&self.file, bytes, self.len)
             .map_err(|source| self.write_error(source, bytes.len()))?;
         self.len += bytes.len() as u64;
         Ok(())
@@ -97,24 +92,21 @@ impl TempFile {
     pub fn extend(&mut self, len: u64) -> Result<u64, SortError> {
         let start = self.len.next_multiple_of(ALIGNMENT as u64);
         self.len = (start + len).next_multiple_of(ALIGNMENT as u64);
-        match rustix::fs::fallocate(&self.file, FallocateFlags::empty(), start, self.len - start) {
-            Err(e) if e == rustix::io::Errno::NOSPC || e == rustix::io::Errno::DQUOT => {
-                Err(self.write_error(e.into(), (self.len - start) as usize))
-            }
-            // Other file systems reserve as they write.
-            _ => Ok(start),
+        match platform::reserve(&self.file, start, self.len - start) {
+            Err(e) => Err(self.write_error(e, (self.len - start) as usize)),
+            Ok(()) => Ok(start),
         }
     }
 
     /// Writes whole blocks.
     pub fn write_blocks(&self, offset: u64, blocks: &[u8]) -> Result<(), SortError> {
-        self.direct_or_buffered(|file| file.write_all_at(blocks, offset))
+        self.direct_or_buffered(|file| write_all_at(file, blocks, offset))
             .map_err(|source| self.write_error(source, blocks.len()))
     }
 
     /// Reads whole blocks.
     pub fn read_blocks(&self, offset: u64, out: &mut [u8]) -> Result<(), SortError> {
-        self.direct_or_buffered(|file| file.read_exact_at(out, offset))
+        self.direct_or_buffered(|file| read_exact_at(file, out, offset))
             .map_err(|source| self.error("read", source))
     }
 
@@ -147,14 +139,12 @@ impl TempFile {
     }
 
     fn read_raw(&self, offset: u64, out: &mut [u8]) -> io::Result<()> {
-        self.file.read_exact_at(out, offset)
+        read_exact_at(&self.file, out, offset)
     }
 
     /// Gives the disk space of `len` bytes from `offset` on back, where the file system can.
     pub fn release(&self, offset: u64, len: u64) {
-        let hole = FallocateFlags::PUNCH_HOLE | FallocateFlags::KEEP_SIZE;
-        // Space that cannot be given back now is when the file is closed.
-        let _ = rustix::fs::fallocate(&self.file, hole, offset, len);
+        platform::release(&self.file, offset, len);
     }
 
     /// Bytes of disk space held.
@@ -164,8 +154,7 @@ impl TempFile {
     }
 
     fn free_bytes(&self) -> Option<u64> {
-        let stat = rustix::fs::fstatvfs(&self.file).ok()?;
-        Some(stat.f_bavail.saturating_mul(stat.f_frsize))
+        platform::free_bytes_beside(&self.file)
     }
 
     fn error(&self, action: &'static str, source: io::Error) -> SortError {

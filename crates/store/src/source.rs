@@ -1,9 +1,8 @@
 //! Where the bytes of an octree file come from: a map of it, or reads.
 
-use pbgi_file::open_input;
+use pbgi_file::{open_input, platform};
 use std::fs::File;
 use std::io;
-use std::os::unix::fs::FileExt;
 use std::path::Path;
 use std::time::SystemTime;
 
@@ -14,7 +13,7 @@ pub enum Backend {
     #[default]
     Read,
     /// From a memory map of the file, each page brought in by one request and copied out. A file that another process shortens at the
-    /// moment of the copy kills this one: not for network disks.
+    /// moment of the copy kills this one: not for network disks. Only Linux can bring pages in so; other systems read.
     Map,
 }
 
@@ -49,13 +48,16 @@ pub(crate) fn open_source(path: &Path, backend: Backend) -> io::Result<Box<dyn P
     let file = open_input(path)?;
     Ok(match backend {
         Backend::Read => Box::new(file),
+        #[cfg(target_os = "linux")]
         Backend::Map => Box::new(map::MappedFile::new(file)?),
+        #[cfg(not(target_os = "linux"))]
+        Backend::Map => Box::new(file),
     })
 }
 
 impl PageSource for File {
     fn read_at(&self, offset: u64, out: &mut [u8]) -> io::Result<()> {
-        self.read_exact_at(out, offset)
+        platform::read_exact_at(self, out, offset)
     }
 
     fn state(&self) -> io::Result<FileState> {
@@ -64,6 +66,7 @@ impl PageSource for File {
     }
 }
 
+#[cfg(target_os = "linux")]
 #[expect(unsafe_code, reason = "mapping a file is unsafe: another process may change it")]
 mod map {
     use super::{FileState, PageSource};

@@ -9,7 +9,7 @@ pub enum Check {
     Says(&'static str),
     /// It never says this.
     Never(&'static str),
-    /// The areas that `pbgi-info` prints, in their order, within 2 %.
+    /// The areas that `pbgi info` prints, in their order, within 2 %.
     Areas(&'static [f64]),
     /// The mean of a column of a file that it writes.
     Column { file: &'static str, column: &'static str, expected: f64, tolerance: f64 },

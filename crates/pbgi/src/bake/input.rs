@@ -3,6 +3,7 @@
 use crate::PbgiError;
 use crate::bake::octree_source::{OCTREE_CACHE_BYTES, OctreeSource};
 use crate::budget::reading::read_within;
+use crate::foreign::{refuse_foreign, refuse_misnamed};
 use pbgi_cloud::{
     CloudError, CloudOptions, ConcatSource, LAS_MAGIC, LazyCloud, PlyHeader, SliceSource, Surfel,
     SurfelSource, open_cloud, raw::RAW_MAGIC,
@@ -66,6 +67,7 @@ impl InputKind {
         if ProceduralSpec::matches(name) {
             return Ok(Self::Procedural);
         }
+        refuse_foreign(name)?;
         let path = Path::new(name);
         let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
         if ["glb", "gltf", "obj"].iter().any(|e| extension.eq_ignore_ascii_case(e)) {
@@ -149,7 +151,23 @@ pub fn load_scene_within(name: &str, memory_limit: u64) -> Result<Scene, PbgiErr
     if ProceduralSpec::matches(name) {
         return Ok(procedural_scene(name)?.scene);
     }
-    read_within(memory_limit, |allowance| read_scene_within(Path::new(name), allowance))
+    let path = Path::new(name);
+    refuse_foreign(name)?;
+    if is_octree(path) {
+        return Err(PbgiError::input(format!(
+            "{name} is an octree, expected the mesh it was baked from; name that one, or none to see the surfels themselves"
+        )));
+    }
+    refuse_misnamed(path)?;
+    read_within(memory_limit, |allowance| read_scene_within(path, allowance))
+}
+
+/// Whether a file starts as octree files do.
+pub fn is_octree(path: &Path) -> bool {
+    let mut start = Vec::new();
+    let length = pbgi_format::MAGIC.len() as u64;
+    let read = open_input(path).and_then(|file| file.take(length).read_to_end(&mut start));
+    read.is_ok() && *start == pbgi_format::MAGIC
 }
 
 /// What becomes of the light that octree files store.
@@ -301,6 +319,9 @@ impl Inputs {
                     *light_count += if lights.is_empty() { 0 } else { scene.lights.len() };
                     let diced = dice(name, scene, DiceOptions { spacing, two_sided }, cancel)?;
                     warnings.extend(dicing_warnings(name, &diced));
+                    if let Sampling::Spacing(length) = how.sampling {
+                        warnings.extend(doubtful_spacing(name, scene, length));
+                    }
                     if let Some(why) = all_holes_of(&diced) {
                         warnings.push(format!("{name}: {why}"));
                         all_holes.push(why);
@@ -374,6 +395,24 @@ fn dice<'a>(
         DiceError::Stopped => PbgiError::Interrupted,
         source => PbgiError::Dice { input: name.to_owned(), source },
     })
+}
+
+/// Spacings along the diagonal of a scene, below and above which the spacing is doubted.
+const SPACINGS_DOUBTED: (f32, f32) = (4.0, 50_000.0);
+
+/// A warning where a spacing looks as if it were of other units than the scene.
+fn doubtful_spacing(name: &str, scene: &Scene, spacing: f32) -> Option<String> {
+    let size = scene.bounds().extent().length();
+    let (least, most) = SPACINGS_DOUBTED;
+    let how = match size / spacing {
+        ratio if ratio < least => "coarse",
+        ratio if ratio > most => "fine",
+        _ => return None,
+    };
+    Some(format!(
+        "{name}: a spacing of {spacing} is {how} for a scene of {size:.3} units, as centimeters against meters; \
+         --surfels 1M chooses one that suits"
+    ))
 }
 
 /// Materials that are named in one sentence, at most.

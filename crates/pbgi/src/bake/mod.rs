@@ -17,8 +17,9 @@ use crate::bake::request::{BakeRequest, NormalsChoice};
 use crate::budget::bake::BakeMemory;
 use crate::budget::disk_space::{DiskSpace, DiskUse};
 use crate::budget::resident::{peak_resident_bytes, process_use};
-use crate::cli::output_path::{are_on_one_disk, free_bytes, kept_files};
-use crate::cli::progress::{Phase, Progress, format_bytes};
+use crate::figures::format_bytes;
+use crate::output_path::{are_on_one_disk, free_bytes, kept_files};
+use crate::progress::{Phase, Progress};
 use pbgi_build::{
     BuildOptions, BuildReport, ChannelChoice, StreamSummary, build_octree, build_octree_from_pieces,
 };

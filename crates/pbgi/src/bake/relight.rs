@@ -6,7 +6,7 @@
 
 use crate::PbgiError;
 use crate::bake::share::{Shared, cell_len};
-use crate::cli::progress::Phase;
+use crate::progress::Phase;
 use crate::shade::{CHUNK_RECEIVERS, EnvironmentSpec, LoadedEnvironment};
 use pbgi_build::{Piece, PieceSource, PieceTask, SortedStream, StreamError};
 use pbgi_cloud::Surfel;
@@ -295,7 +295,6 @@ pub(crate) fn check_canceled(cancel: &AtomicBool) -> Result<(), PbgiError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cli;
     use crate::shade::LightSource;
 
     fn uniform(rgb: [f32; 3]) -> LightRequest {
@@ -347,7 +346,7 @@ mod tests {
             LightRequest { raster_edge: 0, ..good.clone() },
             LightRequest { share: 0, ..good.clone() },
         ] {
-            assert_eq!(bad.check().unwrap_err().exit_code(), cli::EXIT_MISUSED);
+            assert_eq!(bad.check().unwrap_err().exit_code(), crate::EXIT_MISUSED);
         }
         good.check().unwrap();
     }

@@ -1,6 +1,6 @@
 //! What a bake did, for people and for programs.
 
-use crate::cli::progress::{format_bytes, format_count, format_seconds};
+use crate::figures::{format_bytes, format_count, format_seconds};
 use pbgi_build::BuildReport;
 use serde::Serialize;
 
@@ -133,7 +133,7 @@ impl PhaseReport {
 }
 
 impl BakeReport {
-    /// Labels and values, for [`crate::cli::format_table`].
+    /// Labels and values, for [`crate::figures::format_table`].
     #[must_use]
     pub fn rows(&self) -> Vec<(&'static str, String)> {
         let rate = |r: f64| format!("{} surfels/s", format_count(r));

@@ -4,7 +4,7 @@ use crate::bake::input::Sampling;
 use crate::bake::relight::LightRequest;
 use crate::outputs::{Output, OutputKind, RunFiles, check_writable};
 use crate::shade::LightSource;
-use crate::{PbgiError, cli};
+use crate::{PbgiError, check_memory_limit};
 use pbgi_build::{BuildOptions, PAGE_BYTES_RANGE};
 use pbgi_cloud::CloudOptions;
 use pbgi_file::{FileState, folder_of};
@@ -14,7 +14,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
 
 /// What to do where a cloud has no normals.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum NormalsChoice {
     /// Estimate them from neighbors.
     #[default]
@@ -101,7 +101,7 @@ impl BakeRequest {
     ///
     /// Names the option and what is expected.
     pub fn check(&self) -> Result<(), PbgiError> {
-        cli::check_memory_limit(self.memory_limit)?;
+        check_memory_limit(self.memory_limit)?;
         self.light.check()?;
         if !PAGE_BYTES_RANGE.contains(&self.page_bytes) {
             return Err(PbgiError::usage(format!(
@@ -217,7 +217,7 @@ mod tests {
             BakeRequest { resume: true, inputs: vec!["-".into()], ..good() },
             BakeRequest::default(),
         ] {
-            assert_eq!(bad.check().unwrap_err().exit_code(), cli::EXIT_MISUSED, "{bad:?}");
+            assert_eq!(bad.check().unwrap_err().exit_code(), crate::EXIT_MISUSED, "{bad:?}");
         }
     }
 }

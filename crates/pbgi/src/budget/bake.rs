@@ -2,7 +2,7 @@
 
 use crate::PbgiError;
 use crate::budget::resident::resident_bytes;
-use crate::cli::progress::format_bytes;
+use crate::figures::format_bytes;
 use crate::shade::CHUNK_RECEIVERS;
 use pbgi_build::BuildOptions;
 use pbgi_sort::BUDGET_BYTES_MIN;
@@ -89,7 +89,7 @@ impl BakeMemory {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cli::MEMORY_LIMIT_MIN;
+    use crate::MEMORY_LIMIT_MIN;
 
     #[test]
     fn parts_never_exceed_the_limit() {

@@ -2,7 +2,7 @@
 
 use crate::PbgiError;
 use crate::budget::resident::resident_bytes;
-use crate::cli::progress::format_bytes;
+use crate::figures::format_bytes;
 use pbgi_file::{Allowance, Excess};
 use std::error::Error;
 use std::io;

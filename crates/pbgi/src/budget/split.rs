@@ -2,7 +2,7 @@
 
 use crate::PbgiError;
 use crate::budget::resident::resident_bytes;
-use crate::cli::progress::format_bytes;
+use crate::figures::format_bytes;
 use crate::shade::ShadeSettings;
 use pbgi_gather::block_bytes;
 use serde::Serialize;

@@ -23,7 +23,7 @@ use pbgi_image::{
     Aov, AovNames, AttributeValue, Image, ImageWindow, StoredChannel, ToneMap, auto_exposure,
     write_png, write_windowed_exr,
 };
-use pbgi_math::DVec3;
+use pbgi_math::{Aabb, DVec3};
 use pbgi_scene::{CameraView, HideOptions, Micropolygon, PixelWindow, Scene, hide};
 use std::collections::HashMap;
 use std::path::Path;
@@ -122,6 +122,22 @@ struct FrameJob<'a> {
     start: Instant,
 }
 
+/// How many times as large as the octree a scene may be, or the other way round, before it is doubted.
+const SIZE_RATIO: f32 = 20.0;
+
+/// A warning where a scene is much larger or smaller than the octree, as if their units were not the same.
+fn unlike_size(scene: &Scene, header: &Header) -> Option<String> {
+    let size = |bounds: Aabb| bounds.extent().length();
+    let (scene, octree) = (size(scene.bounds()), size(header.bounds));
+    let ratio = scene.max(octree) / scene.min(octree);
+    (ratio.is_finite() && ratio > SIZE_RATIO).then(|| {
+        format!(
+            "the scene measures {scene:.3} units and the octree {octree:.3}, {ratio:.0} times as much or as little, \
+             as centimeters against meters; shade the scene that was baked, or bake this one"
+        )
+    })
+}
+
 /// Pixels along the longer edge of the picture whose receivers are measured to choose settings.
 const CALIBRATION_EDGE: u32 = 160;
 
@@ -140,8 +156,9 @@ impl<'a> FrameJob<'a> {
         let frame = image + per_row * u64::from(TILE_ROWS);
         let split = split.grant(frame, frame)?;
         let extra_readers = usize::from(request.scene.is_none());
-        let session =
+        let mut session =
             Session::open(request.octree, settings, environment, split, extra_readers, cancel)?;
+        session.warnings.extend(request.scene.and_then(|scene| unlike_size(scene, &header)));
         let origin = if request.scene.is_some() { DVec3::ZERO } else { header.origin };
         let context = CameraContext {
             scene: request.scene,

@@ -3,9 +3,10 @@
 use crate::PbgiError;
 use crate::bake::relight::check_canceled;
 use crate::budget::bake::reader_cache_bytes;
-use crate::cli::progress::{Progress, format_count};
+use crate::figures::format_count;
 use crate::inspect::open;
 use crate::outputs::{Output, OutputKind, RunFiles, check_writable};
+use crate::progress::Progress;
 use pbgi_cloud::{PlyWriter, PtcPoint, PtcWriter};
 use pbgi_format::{Channels, Header, LeafSurfel};
 use pbgi_math::{DVec3, Vec3};

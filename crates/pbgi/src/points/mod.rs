@@ -9,7 +9,7 @@ pub(crate) mod scatter;
 pub(crate) mod table_receivers;
 
 use crate::budget::split::MemorySplit;
-use crate::cli::output_path::check_suffix;
+use crate::output_path::check_suffix;
 use crate::outputs::{Output, OutputKind, RunFiles};
 use crate::points::results::ResultWriter;
 use crate::points::rows::PointRows;

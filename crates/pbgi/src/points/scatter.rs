@@ -1,8 +1,8 @@
 //! Numbers that come in any order, read back in that of their indices: in a temporary file, with little memory.
 
 use crate::PbgiError;
+use pbgi_file::platform::{read_exact_at, write_all_at};
 use std::fs::File;
-use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
 /// Indices of a bucket, which is put in order in memory.
@@ -55,8 +55,7 @@ impl Scatter {
     fn flush(&mut self, bucket: usize) -> Result<(), PbgiError> {
         let (buffer, written) = &mut self.buffers[bucket];
         let offset = bucket as u64 * BUCKET * RECORD_BYTES as u64 + *written;
-        self.file
-            .write_all_at(buffer, offset)
+        write_all_at(&self.file, buffer, offset)
             .map_err(|e| PbgiError::output(&self.dir, "write to a temporary file", e))?;
         *written += buffer.len() as u64;
         buffer.clear();
@@ -118,8 +117,7 @@ impl InOrder {
         for first in (0..len * RECORD_BYTES).step_by(BUFFER_BYTES) {
             let part = &mut records[..BUFFER_BYTES.min(len * RECORD_BYTES - first)];
             let offset = self.next * RECORD_BYTES as u64 + first as u64;
-            self.file
-                .read_exact_at(part, offset)
+            read_exact_at(&self.file, part, offset)
                 .map_err(|e| PbgiError::output(&self.dir, "read from a temporary file", e))?;
             for [a, b, c, d, e, f, g, h] in part.as_chunks::<RECORD_BYTES>().0 {
                 let index = u32::from_le_bytes([*a, *b, *c, *d]);

@@ -8,7 +8,8 @@ pub(crate) mod target;
 use crate::PbgiError;
 use crate::budget::reading::read_within;
 use crate::budget::split::MemorySplit;
-use crate::cli::progress::{Progress, format_bytes, format_count, format_seconds};
+use crate::figures::{format_bytes, format_count, format_seconds};
+use crate::progress::Progress;
 use crate::shade::check::{AloneReport, CheckReport, CheckSample};
 use crate::shade::statistics::{CacheReport, CutReport, LevelReport};
 use crate::shade::target::{Calibration, TargetReport};
@@ -601,7 +602,7 @@ fn check_finite(receivers: &[Receiver], shadings: &[Shading]) -> Result<(), Pbgi
         None => Ok(()),
         Some(index) => Err(PbgiError::input(format!(
             "the light at {} (relative to the octree's origin) is no number: octree, receivers or environment have sizes or radiances out \
-             of range; check the octree with pbgi-info --verify, and scale the scene or its light",
+             of range; check the octree with pbgi info --verify, and scale the scene or its light",
             receivers[index].position
         ))),
     }

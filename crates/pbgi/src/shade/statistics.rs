@@ -1,6 +1,6 @@
 //! What shading did, in numbers: batches and cuts, requests by level of the tree, the page cache.
 
-use crate::cli::progress::{format_bytes, format_count};
+use crate::figures::{format_bytes, format_count};
 use pbgi_gather::LevelStats;
 use pbgi_schedule::ShadeReport;
 use pbgi_store::CacheStats;

@@ -1,7 +1,7 @@
 //! Choosing the solid angle by measuring: the coarsest one whose error on a sample of receivers is small enough.
 
 use crate::PbgiError;
-use crate::cli::progress::Progress;
+use crate::progress::Progress;
 use crate::shade::check::SampleError;
 use pbgi_gather::{GatherSettings, PreparedLight, Receiver, Shading};
 use pbgi_schedule::{ShadeOptions, shade_receivers};

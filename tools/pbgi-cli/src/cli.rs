@@ -1,21 +1,23 @@
 //! What all command-line tools share: options, sizes, Ctrl-C, exit codes.
 
-pub(crate) mod output_path;
-pub(crate) mod progress;
-
-use crate::{PbgiError, Progress, ProgressMode, Verbosity};
-use pbgi_file::AtomicFile;
-use pbgi_store::Backend;
+use pbgi::{
+    Backend, EXIT_INTERRUPTED, PbgiError, Progress, ProgressMode, Verbosity, check_memory_limit,
+    write_statistics,
+};
 use std::io::{ErrorKind, Write};
 use std::path::Path;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-pub use crate::cli::progress::{format_bytes, format_count, format_seconds};
-pub use crate::error::{EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED, EXIT_MISUSED, EXIT_RESOURCES};
-
-/// Smallest [`CommonArgs::memory_limit`] any tool accepts.
-pub const MEMORY_LIMIT_MIN: u64 = 64 << 20;
+/// What the code means that a command ends with.
+pub const EXIT_CODES_HELP: &str = "\
+Exit codes:
+    0  done
+    1  failed: an output cannot be written, or the program is at fault
+    2  the command cannot be carried out as given
+    3  an input is missing, damaged or of no known kind (also: warnings, with --strict)
+    4  disk space, quota or memory limit do not suffice
+  130  interrupted; nothing half-written stays";
 
 /// Most threads per core.
 const THREADS_PER_CORE: usize = 8;
@@ -34,7 +36,7 @@ pub struct CommonArgs {
     pub threads: usize,
     /// How progress is shown on standard error
     #[arg(long, value_enum, value_name = "MODE", default_value = "auto", hide_short_help = true)]
-    pub progress: ProgressMode,
+    pub progress: ProgressArg,
     /// End with exit code 3 if there was a warning
     #[arg(long, hide_short_help = true)]
     pub strict: bool,
@@ -72,7 +74,7 @@ impl CommonArgs {
     /// Progress as asked for, of a run in `phase_count` phases.
     #[must_use]
     pub fn start_progress(&self, phase_count: u32) -> Progress {
-        Progress::new(self.progress, self.verbosity(), phase_count)
+        Progress::new(self.progress.into(), self.verbosity(), phase_count)
     }
 
     /// What becomes of a run with these warnings: what was written stays, and with `--strict` the run ends as one of an input that
@@ -108,6 +110,34 @@ impl CommonArgs {
     }
 }
 
+/// How progress is shown.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum ProgressArg {
+    /// A bar on a terminal, plain lines elsewhere
+    #[default]
+    Auto,
+    /// One line, redrawn in place
+    Bar,
+    /// A few lines per phase
+    Plain,
+    /// A JSON object per line, every second at most
+    Json,
+    /// Nothing
+    None,
+}
+
+impl From<ProgressArg> for ProgressMode {
+    fn from(mode: ProgressArg) -> Self {
+        match mode {
+            ProgressArg::Auto => Self::Auto,
+            ProgressArg::Bar => Self::Bar,
+            ProgressArg::Plain => Self::Plain,
+            ProgressArg::Json => Self::Json,
+            ProgressArg::None => Self::None,
+        }
+    }
+}
+
 /// How an octree file is read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum IoMode {
@@ -127,23 +157,6 @@ impl From<IoMode> for Backend {
     }
 }
 
-/// Refuses a memory limit below [`MEMORY_LIMIT_MIN`].
-///
-/// # Errors
-///
-/// [`PbgiError::Usage`], naming the smallest limit.
-pub fn check_memory_limit(bytes: u64) -> Result<(), PbgiError> {
-    if bytes >= MEMORY_LIMIT_MIN {
-        return Ok(());
-    }
-    Err(PbgiError::usage(format!(
-        "a memory limit of {} is too small; at least {} are needed (--memory-limit {}MiB)",
-        format_bytes(bytes),
-        format_bytes(MEMORY_LIMIT_MIN),
-        MEMORY_LIMIT_MIN >> 20
-    )))
-}
-
 /// A number of bytes: `4GiB`, `512M`, `1.5g`, `100000`. K, M, G, T and KiB … are powers of 1024,
 /// kB, MB, GB and TB powers of 1000.
 ///
@@ -152,7 +165,7 @@ pub fn check_memory_limit(bytes: u64) -> Result<(), PbgiError> {
 /// Says what is expected.
 ///
 /// ```
-/// assert_eq!(pbgi::cli::parse_bytes("1.5GiB"), Ok(3 << 29));
+/// assert_eq!(pbgi_cli::cli::parse_bytes("1.5GiB"), Ok(3 << 29));
 /// ```
 pub fn parse_bytes(text: &str) -> Result<u64, String> {
     let expected = || format!("`{text}` is no size; expected one such as 512MiB or 4G");
@@ -167,24 +180,36 @@ pub fn parse_bytes(text: &str) -> Result<u64, String> {
     scale_number(digits, base.powi(power as i32)).ok_or_else(expected)
 }
 
-/// A count: `2M`, `1.5G`, `250k`, `1000`; the suffixes are powers of 1000.
+/// A count: `2M`, `1.5G`, `250k`, `1000`, `1e6`, `1_000_000`; the suffixes are powers of 1000.
 ///
 /// # Errors
 ///
 /// Says what is expected.
 ///
 /// ```
-/// assert_eq!(pbgi::cli::parse_count("1.5M"), Ok(1_500_000));
+/// assert_eq!(pbgi_cli::cli::parse_count("1.5M"), Ok(1_500_000));
 /// ```
 pub fn parse_count(text: &str) -> Result<u64, String> {
-    let expected = || format!("`{text}` is no count; expected one such as 2M or 500000");
+    let expected = || format!("`{text}` is no count; expected one such as 2M, 5e5 or 500000");
+    let text = text.replace('_', "");
     let (digits, factor) = match text.char_indices().last() {
         Some((end, 'k' | 'K')) => (&text[..end], 1e3),
         Some((end, 'm' | 'M')) => (&text[..end], 1e6),
         Some((end, 'g' | 'G')) => (&text[..end], 1e9),
-        _ => (text, 1.0),
+        _ => (&text[..], 1.0),
+    };
+    let (digits, factor) = match digits.split_once(['e', 'E']) {
+        Some((digits, power)) => (digits, factor * ten_to(power).ok_or_else(expected)?),
+        None => (digits, factor),
     };
     scale_number(digits, factor).ok_or_else(expected)
+}
+
+/// A power of ten, of one digit or two.
+fn ten_to(power: &str) -> Option<f64> {
+    let digits = power.strip_prefix('+').unwrap_or(power);
+    let is_short = (1..=2).contains(&digits.len()) && digits.bytes().all(|b| b.is_ascii_digit());
+    is_short.then(|| digits.parse().ok()).flatten().map(|power| 10f64.powi(power))
 }
 
 /// `digits` times `factor`, rounded; only unsigned decimal numbers below 2⁵³ pass.
@@ -219,7 +244,7 @@ pub fn parse_triple(text: &str) -> Result<[f32; 3], String> {
 /// Says what is expected.
 ///
 /// ```
-/// assert_eq!(pbgi::cli::parse_resolution("960x540"), Ok([960, 540]));
+/// assert_eq!(pbgi_cli::cli::parse_resolution("960x540"), Ok([960, 540]));
 /// ```
 pub fn parse_resolution(text: &str) -> Result<[u32; 2], String> {
     let edge = |text: &str| text.trim().parse().ok().filter(|x| (1..=65536).contains(x));
@@ -279,22 +304,12 @@ pub fn print(text: &str) -> Result<(), PbgiError> {
 ///
 /// If it cannot be written.
 pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), PbgiError> {
-    let mut text = serde_json::to_string_pretty(value)
-        .map_err(|e| PbgiError::failed(format!("statistics cannot be written as JSON: {e}")))?;
-    text.push('\n');
-    if path.as_os_str() == "-" {
-        return print(&text);
+    if path.as_os_str() != "-" {
+        return write_statistics(path, value);
     }
-    let mut file = AtomicFile::create(path).map_err(|e| PbgiError::output(path, "create", e))?;
-    file.write_all(text.as_bytes()).map_err(|e| PbgiError::output(path, "write", e))?;
-    file.commit().map_err(|e| PbgiError::output(path, e.action, e.source))
-}
-
-/// Lines of labels and values, the values aligned.
-#[must_use]
-pub fn format_table(rows: &[(impl AsRef<str>, String)]) -> String {
-    let width = rows.iter().map(|(label, _)| label.as_ref().chars().count()).max().unwrap_or(0);
-    rows.iter().map(|(label, value)| format!("{:<width$}  {value}\n", label.as_ref())).collect()
+    let text = serde_json::to_string_pretty(value)
+        .map_err(|e| PbgiError::failed(format!("statistics cannot be written as JSON: {e}")))?;
+    print(&format!("{text}\n"))
 }
 
 #[cfg(test)]
@@ -325,7 +340,12 @@ mod tests {
     fn counts_are_read() {
         assert_eq!(parse_count("250k"), Ok(250_000));
         assert_eq!(parse_count("1.25G"), Ok(1_250_000_000));
-        for text in ["", "M", "-2M", "two", "nan", "é"] {
+        assert_eq!(parse_count("1e6"), Ok(1_000_000));
+        assert_eq!(parse_count("2.5E+3"), Ok(2500));
+        assert_eq!(parse_count("1_000_000"), Ok(1_000_000));
+        for text in
+            ["1e", "1e-3", "1e999", "e6", "_", "1e16", "1e6.5", "", "M", "-2M", "two", "nan", "é"]
+        {
             assert!(parse_count(text).is_err(), "{text}");
         }
     }
@@ -336,18 +356,5 @@ mod tests {
         for text in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,inf"] {
             assert!(parse_triple(text).is_err(), "{text}");
         }
-    }
-
-    #[test]
-    fn tables_are_aligned() {
-        let table = format_table(&[("surfels", "3".to_owned()), ("Σ", "4".to_owned())]);
-        assert_eq!(table, "surfels  3\nΣ        4\n");
-    }
-
-    #[test]
-    fn limits_too_small_name_what_is_needed() {
-        let error = check_memory_limit(1 << 20).unwrap_err();
-        assert_eq!(error.exit_code(), EXIT_MISUSED);
-        assert!(error.to_string().contains("--memory-limit 64MiB"), "{error}");
     }
 }

@@ -1,6 +1,6 @@
 //! The demo's one table.
 
-use pbgi::cli::{format_bytes, format_count, format_seconds};
+use pbgi::figures::{format_bytes, format_count, format_seconds};
 use pbgi::{BakeReport, ShadeReport};
 
 /// Names of the bake's phases that gather light.

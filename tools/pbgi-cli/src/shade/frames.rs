@@ -1,6 +1,6 @@
 //! Frames of an animation: numbers in file names, and what turns from frame to frame.
 
-use crate::args::ShadeArgs;
+use crate::shade::args::ShadeArgs;
 use pbgi::PbgiError;
 use std::ffi::OsString;
 use std::ops::RangeInclusive;
@@ -63,7 +63,10 @@ pub fn args_of(args: &ShadeArgs, number: u32) -> ShadeArgs {
     }
     // Of the number alone, so that machines can share the frames.
     let steps = f64::from(number);
-    args.light.env_rotate += (f64::from(args.animation.env_turn) * steps) as f32;
+    let turn = (f64::from(args.animation.env_turn.unwrap_or(0.0)) * steps) as f32;
+    if args.animation.env_turn.is_some() {
+        args.light.env_rotate = Some(args.light.env_rotate.unwrap_or(0.0) + turn);
+    }
     args.animation.camera_turned = args.animation.camera_turn * steps;
     args
 }
@@ -155,7 +158,7 @@ mod tests {
         assert_eq!(frame.octree, Path::new("o.09.pbgi"));
         assert_eq!(frame.output, Path::new("f.09.exr"));
         assert_eq!(frame.light.env.as_deref(), Some(Path::new("e.9.exr")));
-        assert_eq!((frame.light.env_rotate, frame.animation.camera_turned), (-3.5, 18.0));
+        assert_eq!((frame.light.env_rotate, frame.animation.camera_turned), (Some(-3.5), 18.0));
         assert!(check(&args).is_ok());
         let same = ShadeArgs { output: "f.exr".into(), ..args };
         assert!(check(&same).unwrap_err().to_string().contains("####"));

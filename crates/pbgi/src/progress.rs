@@ -1,25 +1,41 @@
 //! Progress of long work on standard error: phases, rates, estimates of what is left.
 
+use crate::figures::{format_count, format_seconds};
 use std::io::{IsTerminal, Write};
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// How progress is shown.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ProgressMode {
     /// A bar on a terminal, plain lines elsewhere.
     #[default]
     Auto,
     /// One line, redrawn in place.
     Bar,
-    /// A line every second at most.
+    /// A line at the end of a phase, and before it ever more rarely: tens of lines for hours.
     Plain,
     /// A JSON object per line, every second at most.
     Json,
     /// Nothing.
     None,
 }
+
+impl ProgressMode {
+    /// Milliseconds to the next line, `now` milliseconds into a phase.
+    fn pause_ms(self, now: u64) -> u64 {
+        match self {
+            Self::Bar => 100,
+            // Each line comes half as late again as the one before.
+            Self::Plain => (now / 2).max(2000),
+            _ => 1000,
+        }
+    }
+}
+
+/// Phases of a run that each write their plain lines.
+const PLAIN_PHASES: u32 = 12;
 
 /// How much a program tells.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
@@ -39,6 +55,9 @@ pub struct Progress {
     verbosity: Verbosity,
     phase_count: AtomicU32,
     started: AtomicU32,
+    start: Instant,
+    /// Milliseconds after the start when the last plain line was written.
+    line_ms: AtomicU64,
     /// Whether a bar stands on the current line; held while writing.
     bar: Mutex<bool>,
 }
@@ -58,6 +77,8 @@ impl Progress {
             verbosity,
             phase_count: AtomicU32::new(phase_count),
             started: AtomicU32::new(0),
+            start: Instant::now(),
+            line_ms: AtomicU64::new(0),
             bar: Mutex::new(false),
         }
     }
@@ -93,15 +114,22 @@ impl Progress {
             start,
             total,
             done: AtomicU64::new(0),
-            next_ms: AtomicU64::new(match self.mode {
-                ProgressMode::Bar => 100,
-                _ => 1000,
-            }),
+            next_ms: AtomicU64::new(self.mode.pause_ms(0)),
         };
         if self.mode == ProgressMode::Bar {
             phase.write_line(false);
         }
         phase
+    }
+
+    /// Whether phase `index` may write a plain line now: runs of many phases, as large pictures are, do so ever more rarely.
+    fn is_plain_line_due(&self, index: u32) -> bool {
+        let (now, last) = (self.start.elapsed().as_millis() as u64, &self.line_ms);
+        let is_due = index <= PLAIN_PHASES || now >= last.load(Ordering::Relaxed) * 6 / 5 + 1000;
+        if is_due {
+            last.store(now, Ordering::Relaxed);
+        }
+        is_due
     }
 
     /// Tells a setting in effect or a fact, unless quiet.
@@ -161,7 +189,7 @@ impl Phase<'_> {
         }
         let now = self.start.elapsed().as_millis() as u64;
         let due = self.next_ms.load(Ordering::Relaxed);
-        let pause = if self.progress.mode == ProgressMode::Bar { 100 } else { 1000 };
+        let pause = self.progress.mode.pause_ms(now);
         let is_mine = now >= due
             && self
                 .next_ms
@@ -199,6 +227,7 @@ impl Phase<'_> {
                 let end = if is_final { "\n" } else { "" };
                 self.progress.write(&format!("{}{end}", state.to_line()), !is_final);
             }
+            ProgressMode::Plain if !self.progress.is_plain_line_due(self.index) => {}
             ProgressMode::Plain => self.progress.write(&format!("{}\n", state.to_line()), false),
             ProgressMode::Json => self.progress.write(&format!("{}\n", state.to_json()), false),
             ProgressMode::Auto | ProgressMode::None => {}
@@ -276,52 +305,6 @@ impl PhaseState {
     }
 }
 
-/// A count with three digits and a decimal suffix: `1.23 M`.
-#[must_use]
-pub fn format_count(count: f64) -> String {
-    for (scale, suffix) in [(1e9, " G"), (1e6, " M"), (1e3, " k")] {
-        // 999.5 and more would round to four digits below.
-        if count >= scale * 0.9995 {
-            return format!("{}{suffix}", format_digits(count / scale));
-        }
-    }
-    if count.fract() == 0.0 { format!("{count:.0}") } else { format_digits(count) }
-}
-
-fn format_digits(value: f64) -> String {
-    match value {
-        v if v < 9.995 => format!("{v:.2}"),
-        v if v < 99.95 => format!("{v:.1}"),
-        v => format!("{v:.0}"),
-    }
-}
-
-/// A number of bytes with a binary suffix: `512 MiB`.
-#[must_use]
-pub fn format_bytes(bytes: u64) -> String {
-    for (shift, suffix) in [(40, "TiB"), (30, "GiB"), (20, "MiB"), (10, "KiB")] {
-        if bytes >= 1 << shift {
-            let value = bytes as f64 / (1u64 << shift) as f64;
-            let text =
-                if value.fract() == 0.0 { format!("{value:.0}") } else { format_digits(value) };
-            return format!("{text} {suffix}");
-        }
-    }
-    format!("{bytes} bytes")
-}
-
-/// A duration: `0.35 s`, `12 s`, `3 min 20 s`, `2 h 5 min`.
-#[must_use]
-pub fn format_seconds(seconds: f64) -> String {
-    let whole = seconds.round().max(0.0) as u64;
-    match whole {
-        0..10 => format!("{seconds:.2} s"),
-        10..60 => format!("{seconds:.1} s"),
-        60..3600 => format!("{} min {} s", whole / 60, whole % 60),
-        _ => format!("{} h {} min", whole / 3600, whole % 3600 / 60),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -360,14 +343,16 @@ mod tests {
     }
 
     #[test]
-    fn numbers_have_three_digits() {
-        let texts =
-            [0.0, 7.0, 999.0, 999.6, 1234.0, 999_499.0, 999_999.0, 2.5e10].map(format_count);
-        assert_eq!(texts, ["0", "7", "999", "1.00 k", "1.23 k", "999 k", "1.00 M", "25.0 G"]);
-        let texts = [0, 1023, 1024, 1_500_000, 1 << 30].map(format_bytes);
-        assert_eq!(texts, ["0 bytes", "1023 bytes", "1 KiB", "1.43 MiB", "1 GiB"]);
-        let texts = [0.351, 12.34, 200.0, 7500.0].map(format_seconds);
-        assert_eq!(texts, ["0.35 s", "12.3 s", "3 min 20 s", "2 h 5 min"]);
+    fn plain_lines_are_tens_for_hours() {
+        let lines_within = |end_ms: u64| {
+            let times = std::iter::successors(Some(0), |&now| {
+                Some(now + ProgressMode::Plain.pause_ms(now))
+            });
+            times.skip(1).take_while(|&now| now < end_ms).count()
+        };
+        assert_eq!(lines_within(1900), 0);
+        assert!((3..8).contains(&lines_within(20_000)));
+        assert!(lines_within(36_000_000) < 30, "{}", lines_within(36_000_000));
     }
 
     #[test]

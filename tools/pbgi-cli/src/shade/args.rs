@@ -1,13 +1,11 @@
-//! Command line of pbgi-shade.
+//! Arguments of `pbgi shade`.
 
-use crate::frames::Frames;
+use crate::cli::{CommonArgs, EXIT_CODES_HELP, IoMode, parse_resolution, parse_triple};
+use crate::environment::EnvironmentArgs;
+use crate::shade::frames::Frames;
 use clap::{Args, Parser, ValueEnum};
-use pbgi::cli::{CommonArgs, IoMode, parse_resolution, parse_triple};
 use pbgi::{Aov, AovNames, AovPreset};
-use pbgi::{
-    CameraChoice, EnvironmentSpec, GlossSettings, ImportanceTerms, LightSource, PbgiError,
-    ShadeSettings, StoreSettings,
-};
+use pbgi::{CameraChoice, GlossSettings, ImportanceTerms, PbgiError, ShadeSettings, StoreSettings};
 use std::path::PathBuf;
 
 /// Gather light from an octree file, for a picture or for points
@@ -17,14 +15,14 @@ use std::path::PathBuf;
 /// a table, or back into the scan they came from.
 ///
 /// Examples:
-///   pbgi-shade street.pbgi --scene demo:street --env sky.exr -o street.exr --preview street.png
-///   pbgi-shade street.pbgi --gbuffer beauty.exr --pass-through --env sky.exr -o lit.exr
-///   pbgi-shade room.pbgi --receivers points.ply -o shaded.ply --check 200
-///   pbgi-shade town.pbgi --receivers town.laz --env-color 1,1,1 -o town_lit.laz
+///   pbgi shade street.pbgi --scene demo:street --env sky.exr -o street.exr --preview street.png
+///   pbgi shade street.pbgi --gbuffer beauty.exr --pass-through --env sky.exr -o lit.exr
+///   pbgi shade room.pbgi --receivers points.ply -o shaded.ply --check 200
+///   pbgi shade town.pbgi --receivers town.laz --env-color 1,1,1 -o town_lit.laz
 #[derive(Clone, Debug, Parser)]
-#[command(name = "pbgi-shade", version, verbatim_doc_comment, max_term_width = 100)]
+#[command(name = "pbgi-shade", version, after_long_help = EXIT_CODES_HELP, verbatim_doc_comment, max_term_width = 100)]
 pub struct ShadeArgs {
-    /// Octree file, made by pbgi-bake
+    /// Octree file, made by pbgi bake
     pub octree: PathBuf,
     /// Result: an EXR picture (overwritten); for points .ply .npy .csv, or .las .laz for a scan
     #[arg(short, long, value_name = "FILE")]
@@ -46,7 +44,7 @@ pub struct ShadeArgs {
     pub animation: AnimationArgs,
     /// Distant light
     #[command(flatten)]
-    pub light: LightArgs,
+    pub light: EnvironmentArgs,
     /// What is reflected
     #[command(flatten)]
     pub gloss: GlossArgs,
@@ -117,10 +115,10 @@ pub struct ViewArgs {
           allow_hyphen_values = true)]
     pub camera_target: Option<[f64; 3]>,
     /// Vertical field of view in degrees [default: 45]
-    #[arg(long, value_name = "DEG", conflicts_with = "camera")]
+    #[arg(long, value_name = "DEGREES", conflicts_with = "camera")]
     pub fov: Option<f32>,
     /// What is up in the picture [default: the file's up axis]
-    #[arg(long, value_name = "X,Y,Z", requires = "camera_position", value_parser = parse_triple,
+    #[arg(long = "camera-up", alias = "up", value_name = "X,Y,Z", requires = "camera_position", value_parser = parse_triple,
           allow_hyphen_values = true, hide_short_help = true)]
     pub up: Option<[f32; 3]>,
     /// Size of the picture in pixels
@@ -222,55 +220,19 @@ pub struct AnimationArgs {
     /// Turn of the environment per frame number: none at frame 0
     #[arg(
         long,
-        value_name = "DEG",
-        default_value_t = 0.0,
+        value_name = "DEGREES",
         requires = "frames",
-        allow_hyphen_values = true
+        allow_hyphen_values = true,
+        hide_short_help = true
     )]
-    pub env_turn: f32,
+    pub env_turn: Option<f32>,
     /// Turn of --camera-position about the upward line through its target, per frame number
-    #[arg(long, value_name = "DEG", default_value_t = 0.0, requires_all = ["frames", "camera_position"],
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, requires_all = ["frames", "camera_position"],
           allow_hyphen_values = true, hide_short_help = true)]
     pub camera_turn: f64,
     /// Turn of the camera at this frame.
     #[arg(skip)]
     pub camera_turned: f64,
-}
-
-/// Distant light.
-#[derive(Clone, Debug, Args)]
-#[command(next_help_heading = "Light")]
-pub struct LightArgs {
-    /// Equirectangular environment, EXR or HDR
-    ///
-    /// Its middle is seen along +Z (with +Z up, along -Y), a quarter from its left edge along +X, as OpenEXR and Mitsuba have it;
-    /// --env-rotate 90 places it as Blender and three.js do, whose middle is +X.
-    #[arg(long, value_name = "FILE", conflicts_with = "env_color")]
-    pub env: Option<PathBuf>,
-    /// Uniform environment of this radiance
-    #[arg(long, value_name = "R,G,B", value_parser = parse_triple, allow_hyphen_values = true)]
-    pub env_color: Option<[f32; 3]>,
-    /// Turn of the environment, counterclockwise seen from above
-    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true)]
-    pub env_rotate: f32,
-    /// Factor on the environment's radiance
-    #[arg(
-        long,
-        value_name = "F",
-        default_value_t = 1.0,
-        allow_hyphen_values = true,
-        hide_short_help = true
-    )]
-    pub env_scale: f32,
-}
-
-impl LightArgs {
-    /// The environment asked for.
-    pub fn environment(&self) -> Option<EnvironmentSpec> {
-        let file = self.env.clone().map(LightSource::File);
-        let source = file.or(self.env_color.map(LightSource::Uniform))?;
-        Some(EnvironmentSpec { source, rotate_degrees: self.env_rotate, scale: self.env_scale })
-    }
 }
 
 /// What surfaces reflect glossily.
@@ -306,17 +268,22 @@ impl GlossArgs {
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Quality")]
 pub struct QualityArgs {
+    /// Cut error by name: draft is 10%, medium 4%, final 1%
+    ///
+    /// draft, medium or final: the same as --target-error with that value.
+    #[arg(long, value_enum, hide_possible_values = true, value_name = "PRESET", conflicts_with_all = ["solid_angle", "target_error"])]
+    pub quality: Option<QualityPreset>,
+    /// Cut error to choose the solid angle for, such as 2%
+    ///
+    /// A sample of receivers is measured first, and what was chosen is reported.
+    #[arg(long, value_name = "SHARE", value_parser = parse_share, conflicts_with = "solid_angle")]
+    pub target_error: Option<f64>,
     /// Largest solid angle of a node taken as one, sr
     ///
     /// 0 takes every surfel.
     #[arg(long, visible_alias = "maxsolidangle", value_name = "SR",
           default_value_t = ShadeSettings::default().solid_angle_sr)]
     pub solid_angle: f32,
-    /// Cut error to choose the solid angle for, such as 2%
-    ///
-    /// A sample of receivers is measured first, and what was chosen is reported.
-    #[arg(long, value_name = "SHARE", value_parser = parse_share)]
-    pub target_error: Option<f64>,
     /// What makes nodes smaller in some directions than in others
     ///
     /// Some of env,lobe,cosine,radiance,quality, or all or off: bright parts of the environment, what a glossy surface reflects
@@ -340,6 +307,35 @@ pub struct QualityArgs {
     pub check: usize,
 }
 
+impl QualityArgs {
+    /// The cut error asked for, by number or by name.
+    pub fn target_error(&self) -> Option<f64> {
+        self.target_error.or(self.quality.map(QualityPreset::target_error))
+    }
+}
+
+/// A cut error by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum QualityPreset {
+    /// 10%: where light comes from, in little time
+    Draft,
+    /// 4%: about that of the default solid angle
+    Medium,
+    /// 1%: below what is seen
+    Final,
+}
+
+impl QualityPreset {
+    /// The relative root mean square error against taking every surfel.
+    pub fn target_error(self) -> f64 {
+        match self {
+            Self::Draft => 0.1,
+            Self::Medium => 0.04,
+            Self::Final => 0.01,
+        }
+    }
+}
+
 /// Whose channel names are written.
 #[derive(Clone, Copy, Debug, Default, ValueEnum)]
 pub enum NamePreset {
@@ -359,13 +355,13 @@ pub struct OutputArgs {
     /// Channels, by Arnold's names and `beauty`, or `all`
     #[arg(long, value_name = "LIST", default_value = "all")]
     pub aovs: String,
-    /// Names of the channels
+    /// Names of the channels: arnold, blender or renderman
     #[arg(
         long,
         value_enum,
         value_name = "PRESET",
         default_value = "arnold",
-        hide_short_help = true
+        hide_possible_values = true
     )]
     pub aov_names: NamePreset,
     /// Picture for the eye, with a filmic curve
@@ -525,6 +521,18 @@ mod tests {
         assert_eq!((rough.roughness, rough.metalness), (Some(0.3), None));
         assert!(parse(&["--camera-position", "1,2,3"]).is_err());
         assert!(parse(&["--receivers", "r.ply", "--scene", "s.glb"]).is_err());
+    }
+
+    #[test]
+    fn qualities_are_errors_and_stand_alone() {
+        let target = |words: &[&str]| parse(words).map(|args| args.quality.target_error());
+        let of = |name| target(&["--quality", name]).unwrap().unwrap();
+        assert_eq!(target(&[]).unwrap(), None);
+        assert!(of("draft") > of("medium") && of("medium") > of("final"));
+        for other in ["--solid-angle=0.1", "--target-error=2%"] {
+            assert!(target(&["--quality", "draft", other]).is_err(), "{other}");
+        }
+        assert!(target(&["--target-error=2%", "--solid-angle=0.1"]).is_err());
     }
 
     #[test]

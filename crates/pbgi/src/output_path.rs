@@ -1,20 +1,19 @@
 //! Where temporary files go.
 
 use crate::PbgiError;
-use pbgi_file::{KeptFiles, folder_of};
+use pbgi_file::{FileId, KeptFiles, folder_of, platform};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::Path;
 
 /// Bytes free to users in the file system of a folder; none where the system does not tell.
 pub(crate) fn free_bytes(folder: &Path) -> Option<u64> {
-    let stat = rustix::fs::statvfs(folder).ok()?;
-    Some(stat.f_bavail.saturating_mul(stat.f_frsize))
+    platform::free_bytes(folder)
 }
 
 /// Whether two folders lie in one file system; `false` where the system does not tell.
 pub(crate) fn are_on_one_disk(a: &Path, b: &Path) -> bool {
-    let device = |folder: &Path| rustix::fs::stat(folder).ok().map(|stat| stat.st_dev);
-    device(a).is_some_and(|found| Some(found) == device(b))
+    let ids = FileId::of(a).ok().zip(FileId::of(b).ok());
+    ids.is_some_and(|(a, b)| a.is_on_disk_of(&b))
 }
 
 /// Refuses a name whose suffix tells of another format than what will be in the file. `what` is for the message, in the plural.
