@@ -25,7 +25,7 @@ pub use bake::request::{BakeRequest, NormalsChoice};
 pub use budget::resident::{peak_resident_bytes, resident_bytes};
 pub use budget::split::MemorySplit;
 pub use cli::output_path::check_suffix;
-pub use cli::progress::{Phase, Progress, ProgressMode, Verbosity};
+pub use cli::progress::{Phase, Progress, ProgressEvent, ProgressMode, Verbosity};
 pub use error::PbgiError;
 pub use frame::camera_choice::CameraChoice;
 pub use frame::request::{FRAME_AOVS, FrameRequest};
@@ -35,19 +35,21 @@ pub use gbuffer::{GBUFFER_AOVS, GBufferRequest, shade_gbuffer};
 pub use inspect::{LevelInfo, OctreeCheck, OctreeInfo};
 pub use outputs::{Output, OutputKind, RunFiles, check_writable};
 pub use pbgi_cloud::{ClassFilter, CloudOptions, InvalidPolicy, PlyWriter};
-pub use pbgi_gather::{ImportanceTerms, Material};
+pub use pbgi_gather::{ImportanceTerms, Material, Shading};
 pub use pbgi_image::{Aov, AovNames, AovPreset, write_environment_exr};
 pub use pbgi_light::{SkyParameters, UpAxis, synthetic_sky};
+pub use pbgi_math::DVec3;
 pub use pbgi_scene::{ProceduralScene, Scene, TwoSided, procedural_scene};
 pub use pbgi_store::Backend;
 pub use points::export::export_points;
+pub use points::in_memory::{Positions, ReceiversRequest, shade_receivers};
 pub use points::{PointSource, PointsRequest, shade_points};
 pub use shade::check::{AloneReport, CheckReport};
 pub use shade::statistics::{CacheReport, CutReport, LevelReport};
 pub use shade::target::TargetReport;
 pub use shade::{
-    EnvironmentSpec, GlossSettings, LightSource, LoadedEnvironment, ShadeReport, ShadeSettings,
-    StoreSettings,
+    EnvironmentSpec, GlossSettings, LightSource, LoadedEnvironment,
+    ShadeReport, ShadeSettings, StoreSettings,
 };
 
 /// The example of the README, which must compile.
