@@ -48,7 +48,7 @@ pub use shade::check::{AloneReport, CheckReport};
 pub use shade::statistics::{CacheReport, CutReport, LevelReport};
 pub use shade::target::TargetReport;
 pub use shade::{
-    EnvironmentSpec, GlossSettings, LightSource, LoadedEnvironment,
+    EnvironmentPlacement, EnvironmentSpec, GlossSettings, LightSource, LoadedEnvironment,
     ShadeReport, ShadeSettings, StoreSettings,
 };
 

@@ -4,9 +4,9 @@
 use clap::{Parser, ValueEnum};
 use pbgi::cli::{self, CommonArgs};
 use pbgi::{
-    BakeRequest, ClassFilter, CloudOptions, EnvironmentSpec, InputKind, InvalidPolicy,
-    LightRequest, LightSource, NormalsChoice, Output, OutputKind, PbgiError, Sampling, TwoSided,
-    UpAxis, check_writable,
+    BakeRequest, ClassFilter, CloudOptions, EnvironmentPlacement, EnvironmentSpec, InputKind,
+    InvalidPolicy, LightRequest, LightSource, NormalsChoice, Output, OutputKind, PbgiError,
+    Sampling, TwoSided, UpAxis, check_writable,
 };
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -118,9 +118,12 @@ struct LightArgs {
     unlit: bool,
     /// Environment that lights the surfels, .exr or .hdr
     ///
-    /// Its middle is seen along +Z (with +Z up, along -Y); --env-rotate 90 places it as Blender and three.js do, whose middle is +X.
+    /// Its middle is seen along +Z (with +Z up, along -Y) as OpenEXR and Mitsuba have it; --env-placement blender has it along +X.
     #[arg(long, value_name = "IMAGE")]
     env: Option<PathBuf>,
+    /// Whose placement the environment has; --env-rotate turns it on
+    #[arg(long, value_enum, value_name = "WHOSE", default_value = "openexr", requires = "env")]
+    env_placement: EnvironmentPlacement,
     /// Rotation of the environment about the upward axis
     #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
     env_rotate: f32,
@@ -186,7 +189,7 @@ impl Args {
         let inputs: Vec<String> = light.relight.iter().chain(&self.inputs).cloned().collect();
         let environment = light.env.clone().map(|path| EnvironmentSpec {
             source: LightSource::File(path),
-            rotate_degrees: light.env_rotate,
+            rotate_degrees: light.env_placement.rotate_degrees() + light.env_rotate,
             scale: light.env_scale,
         });
         let invalid =
