@@ -52,8 +52,8 @@ pub struct ReceiversRequest<'a> {
     /// Whether a point whose normal is 0, or whose position or normal is not finite, is left out as one without a surface. Else it is an
     /// error.
     pub skip_empty: bool,
-    /// Place of the eye that glossy reflections are seen from, in the world. Materials are white dielectrics but for the numbers in
-    /// [`ShadeSettings::gloss`].
+    /// Place of the eye that glossy reflections are seen from, in the world. Materials are those of [`Material::default`]
+    /// but for the numbers in [`ShadeSettings::gloss`].
     pub eye: Option<DVec3>,
     /// Quality, light and resources.
     pub settings: ShadeSettings,
