@@ -6,7 +6,7 @@ use pbgi::cli::{CommonArgs, IoMode, parse_resolution, parse_triple};
 use pbgi::{Aov, AovNames, AovPreset};
 use pbgi::{
     CameraChoice, EnvironmentPlacement, EnvironmentSpec, GlossSettings, ImportanceTerms,
-    LightSource, PbgiError, ShadeSettings, StoreSettings,
+    LightSource, PbgiError, ShadeSettings, StoreSettings, UpAxis,
 };
 use std::path::PathBuf;
 
