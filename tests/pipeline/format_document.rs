@@ -94,7 +94,9 @@ fn files_of_older_versions_are_refused() {
         let name = format!("golden/v{version}-five-surfels.pbgi");
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(name);
         let error = Octree::open(&path, &OpenOptions::default()).err().unwrap().to_string();
-        let expected = format!("header: version: found {version}, expected 4 (the file is of an older program: bake it again)");
+        let expected = format!(
+            "header: version: found {version}, expected 4 (the file is of an older program: bake it again)"
+        );
         assert!(error.contains(&expected), "{error}");
     }
 }

@@ -8,9 +8,11 @@ use crate::Image;
 pub enum Aov {
     /// Radiance toward the camera, with alpha: 4 channels.
     Beauty,
-    /// Reflected indirect diffuse radiance, albedo included: 3 channels.
+    /// Diffuse radiance, reflected light of surfaces: 3 channels. With the albedo, unless the name says without
+    /// ([`AovNames::is_without_color`]).
     DiffuseIndirect,
-    /// Reflected direct diffuse radiance, albedo included: 3 channels.
+    /// Diffuse radiance, reflected light of the environment, which renderers count as direct: 3 channels. With the albedo, unless the
+    /// name says without.
     DiffuseDirect,
     /// Reflected indirect glossy radiance: 3 channels.
     SpecularIndirect,
@@ -145,10 +147,10 @@ impl AovNames {
             ],
             AovPreset::Blender => [
                 "Combined",
-                "Diffuse Indirect with Color",
-                "Diffuse Direct",
-                "Glossy Indirect",
                 "Diffuse Indirect",
+                "Diffuse Direct",
+                "Glossy Indirect with Color",
+                "Irradiance",
                 "Ambient Occlusion",
                 "Sky Visibility",
                 "Bent Normal",
@@ -171,7 +173,7 @@ impl AovNames {
                 "sky_visibility",
                 "_environmentdir",
                 "__Pworld",
-                "Nn",
+                "__Nworld",
                 "z",
                 "albedo",
                 "roughness",
@@ -202,6 +204,14 @@ impl AovNames {
             Aov::Occlusion if self.layer(aov) == "occlusion" => 1.0 - value,
             _ => value,
         }
+    }
+
+    /// Whether the name of a diffuse quantity means light without the albedo: irradiance over π. Blender's `Diffuse Direct` and `Diffuse
+    /// Indirect` do; compositors multiply their sum by `Diffuse Color`.
+    #[must_use]
+    pub fn is_without_color(&self, aov: Aov) -> bool {
+        let is_diffuse = matches!(aov, Aov::DiffuseDirect | Aov::DiffuseIndirect);
+        is_diffuse && matches!(self.layer(aov), "Diffuse Direct" | "Diffuse Indirect")
     }
 
     /// Channel names of `aov`: 1, 3 or, for beauty, 4.
@@ -273,7 +283,7 @@ fn synonyms(aov: Aov) -> &'static [&'static str] {
     match aov {
         Aov::Beauty => &["rgba", "beauty"],
         Aov::Position => &["position", "Pworld", "worldP"],
-        Aov::Normal => &["normal", "N_world", "normals"],
+        Aov::Normal => &["normal", "N_world", "normals", "Nn"],
         Aov::Depth => &["depth"],
         Aov::Albedo => &["diffuse_albedo", "DiffCol"],
         Aov::Metalness => &["Metalness"],
@@ -330,6 +340,23 @@ mod tests {
             assert_eq!(names.value(Aov::Occlusion, 0.75), expected);
             assert_eq!(names.value(Aov::SkyVisibility, 0.75), 0.75);
         }
+    }
+
+    /// Blender's light passes are without color; `Nn` is in camera space, so that a world normal must not have that name.
+    #[test]
+    fn names_mean_what_their_programs_mean() {
+        let blender = AovNames::preset(AovPreset::Blender);
+        assert_eq!(blender.channels(Aov::DiffuseDirect)[0], "Diffuse Direct.R");
+        assert_eq!(blender.channels(Aov::DiffuseIndirect)[2], "Diffuse Indirect.B");
+        for aov in Aov::ALL {
+            let is_light = matches!(aov, Aov::DiffuseDirect | Aov::DiffuseIndirect);
+            assert_eq!(blender.is_without_color(aov), is_light, "{aov:?}");
+            assert!(!AovNames::default().is_without_color(aov), "{aov:?}");
+        }
+        let renderman = AovNames::preset(AovPreset::Renderman);
+        assert_eq!(renderman.channels(Aov::Normal)[0], "__Nworld.X");
+        let found = AovNames::default().find_among(&["Nn.X", "Nn.Y", "Nn.Z"], Aov::Normal);
+        assert_eq!(found, Some(vec![0, 1, 2]));
     }
 
     #[test]

@@ -42,20 +42,22 @@ pub use inspect::{LevelInfo, OctreeCheck, OctreeInfo};
 pub use output_path::check_suffix;
 pub use outputs::{Output, OutputKind, RunFiles, check_writable, write_statistics};
 pub use pbgi_cloud::{ClassFilter, CloudOptions, InvalidPolicy, PlyWriter};
-pub use pbgi_gather::{ImportanceTerms, Material};
+pub use pbgi_gather::{ImportanceTerms, Material, Shading};
 pub use pbgi_image::{Aov, AovNames, AovPreset, write_environment_exr};
 pub use pbgi_light::{SkyParameters, UpAxis, synthetic_sky};
+pub use pbgi_math::DVec3;
 pub use pbgi_scene::{ProceduralScene, Scene, TwoSided, procedural_scene};
 pub use pbgi_store::Backend;
 pub use points::export::export_points;
+pub use points::in_memory::{Positions, ReceiversRequest, shade_receivers};
 pub use points::{PointSource, PointsRequest, shade_points};
-pub use progress::{Phase, Progress, ProgressMode, Verbosity};
+pub use progress::{Phase, Progress, ProgressEvent, ProgressMode, Verbosity};
 pub use shade::check::{AloneReport, CheckReport};
 pub use shade::statistics::{CacheReport, CutReport, LevelReport};
 pub use shade::target::TargetReport;
 pub use shade::{
-    EnvironmentSpec, GlossSettings, LightSource, LoadedEnvironment, ShadeReport, ShadeSettings,
-    StoreSettings,
+    EnvironmentPlacement, EnvironmentSpec, GlossSettings, LightSource, LoadedEnvironment,
+    ShadeReport, ShadeSettings, StoreSettings,
 };
 
 /// The example of the README, which must compile.

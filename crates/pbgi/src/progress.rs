@@ -49,9 +49,32 @@ pub enum Verbosity {
     Verbose,
 }
 
-/// Progress of one run, written to standard error. Shared by all threads.
+/// What a watcher of a run is told.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum ProgressEvent<'a> {
+    /// A phase began, went on or ended.
+    Phase {
+        /// Its name, such as `sort`.
+        name: &'static str,
+        /// Things done.
+        done: u64,
+        /// Things there are, where known.
+        total: Option<u64>,
+        /// Whether it ended.
+        is_final: bool,
+    },
+    /// What the user should know of.
+    Warning(&'a str),
+}
+
+/// Who is told what happens instead of standard error.
+type Watch = Box<dyn Fn(ProgressEvent<'_>) + Send + Sync>;
+
+/// Progress of one run, written to standard error or told to a watcher. Shared by all threads.
 pub struct Progress {
     mode: ProgressMode,
+    watch: Option<Watch>,
     verbosity: Verbosity,
     phase_count: AtomicU32,
     started: AtomicU32,
@@ -74,6 +97,7 @@ impl Progress {
         };
         Self {
             mode,
+            watch: None,
             verbosity,
             phase_count: AtomicU32::new(phase_count),
             started: AtomicU32::new(0),
@@ -87,6 +111,12 @@ impl Progress {
     #[must_use]
     pub fn silent() -> Self {
         Self::new(ProgressMode::None, Verbosity::Quiet, 0)
+    }
+
+    /// Writes nothing and tells `watch` instead, from any thread, phases a few times a second. It should return soon: work waits for it.
+    #[must_use]
+    pub fn watched(watch: impl Fn(ProgressEvent<'_>) + Send + Sync + 'static) -> Self {
+        Self { watch: Some(Box::new(watch)), ..Self::silent() }
     }
 
     /// Changes the number of phases, where it becomes known late.
@@ -114,9 +144,9 @@ impl Progress {
             start,
             total,
             done: AtomicU64::new(0),
-            next_ms: AtomicU64::new(self.mode.pause_ms(0)),
+            next_ms: AtomicU64::new(self.pause_ms(0)),
         };
-        if self.mode == ProgressMode::Bar {
+        if self.mode == ProgressMode::Bar || self.watch.is_some() {
             phase.write_line(false);
         }
         phase
@@ -144,7 +174,15 @@ impl Progress {
 
     /// Tells what the user should know even when quiet.
     pub fn warn(&self, text: &str) {
+        if let Some(watch) = &self.watch {
+            return watch(ProgressEvent::Warning(text));
+        }
         self.tell(Verbosity::Quiet, &format!("warning: {text}"));
+    }
+
+    /// Milliseconds to the next line of a phase, `now` milliseconds into it.
+    fn pause_ms(&self, now: u64) -> u64 {
+        if self.watch.is_some() { 100 } else { self.mode.pause_ms(now) }
     }
 
     fn tell(&self, least: Verbosity, text: &str) {
@@ -184,12 +222,12 @@ impl Phase<'_> {
     /// order.
     pub fn set_done(&self, done: u64) {
         self.done.fetch_max(done, Ordering::Relaxed);
-        if self.progress.mode == ProgressMode::None {
+        if self.progress.mode == ProgressMode::None && self.progress.watch.is_none() {
             return;
         }
         let now = self.start.elapsed().as_millis() as u64;
         let due = self.next_ms.load(Ordering::Relaxed);
-        let pause = self.progress.mode.pause_ms(now);
+        let pause = self.progress.pause_ms(now);
         let is_mine = now >= due
             && self
                 .next_ms
@@ -222,6 +260,10 @@ impl Phase<'_> {
             seconds: self.start.elapsed().as_secs_f64(),
             is_final,
         };
+        if let Some(watch) = &self.progress.watch {
+            let PhaseState { name, done, total, is_final, .. } = state;
+            watch(ProgressEvent::Phase { name, done, total, is_final });
+        }
         match self.progress.mode {
             ProgressMode::Bar => {
                 let end = if is_final { "\n" } else { "" };
@@ -353,6 +395,22 @@ mod tests {
         assert_eq!(lines_within(1900), 0);
         assert!((3..8).contains(&lines_within(20_000)));
         assert!(lines_within(36_000_000) < 30, "{}", lines_within(36_000_000));
+    }
+
+    #[test]
+    fn watchers_are_told_of_phases_and_warnings() {
+        let told = std::sync::Arc::new(Mutex::new(Vec::new()));
+        let kept = std::sync::Arc::clone(&told);
+        let progress =
+            Progress::watched(move |event| kept.lock().unwrap().push(format!("{event:?}")));
+        progress.start_phase("sort", "surfels", Some(4)).set_done(3);
+        progress.warn("bright");
+        let phase = |done, is_final| {
+            let (name, total) = ("sort", Some(4));
+            format!("{:?}", ProgressEvent::Phase { name, done, total, is_final })
+        };
+        let expected = [phase(0, false), phase(3, true), "Warning(\"bright\")".to_owned()];
+        assert_eq!(*told.lock().unwrap(), expected);
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use crate::error::StoreError;
 use crate::octree::{Octree, Reader};
 use pbgi_format::{ChildLink, FormatError, GroupView, LeafSurfel, NodePage, PageId, SurfelPage};
-use pbgi_math::Aabb;
+use pbgi_math::{Aabb, Vec3};
 
 /// What is still to be visited.
 enum Visit {
@@ -54,6 +54,8 @@ pub struct LeafWalk {
     groups_max: u64,
     done: u64,
     surfels: Vec<LeafSurfel>,
+    /// Nodes whose boxes are farther from a place are passed over.
+    within: Option<(Vec3, f32)>,
 }
 
 impl LeafWalk {
@@ -63,7 +65,21 @@ impl LeafWalk {
         let header = octree.header();
         let root = Visit::Group { page: header.root_page, offset: header.root_offset, depth: 0 };
         let groups_max = octree.group_count_max();
-        Self { stack: vec![root], groups: 0, groups_max, done: 0, surfels: Vec::new() }
+        Self {
+            stack: vec![root],
+            groups: 0,
+            groups_max,
+            done: 0,
+            surfels: Vec::new(),
+            within: None,
+        }
+    }
+
+    /// At the first of the leaves that can have the center of a surfel within `reach` of `position`, which is relative to the octree's
+    /// origin. The numbers that [`Self::next_leaf`] gives count the surfels of such leaves only.
+    #[must_use]
+    pub fn near(octree: &Octree, position: Vec3, reach: f32) -> Self {
+        Self { within: Some((position, reach)), ..Self::new(octree) }
     }
 
     /// The next leaf, as [`for_each_leaf`] gives it, through a reader of the octree the walk began in; `None` after the last.
@@ -84,7 +100,7 @@ impl LeafWalk {
                         return Err(invalid(reader, page, "tree: depth", depth, header.depth));
                     }
                     self.groups += 1;
-                    push_children(reader, page, offset, depth, &mut self.stack)?;
+                    push_children(reader, page, offset, depth, self.within, &mut self.stack)?;
                 }
                 Visit::Leaf { node_page, page, place, frame } => {
                     let Some(page) = page else {
@@ -103,12 +119,13 @@ impl LeafWalk {
     }
 }
 
-/// Puts the children of a group on the stack, the first octant on top.
+/// Puts the children of a group on the stack, the first octant on top; those `within` reach of a place only.
 fn push_children(
     reader: &mut Reader<'_>,
     page: PageId,
     offset: u32,
     depth: u32,
+    within: Option<(Vec3, f32)>,
     stack: &mut Vec<Visit>,
 ) -> Result<(), StoreError> {
     let channels = reader.octree().header().channels;
@@ -126,6 +143,12 @@ fn push_children(
     let octants = (0..8).filter(|octant| fields.octants & (1 << octant) != 0);
     let start = stack.len();
     for (index, octant) in octants.enumerate() {
+        if let Some((position, reach)) = within {
+            let Aabb { min, max } = group.child_box(index).decode(&fields.bounds);
+            if !(position.clamp(min, max).distance(position) <= reach) {
+                continue;
+            }
+        }
         let child = match group.link(index, fields.leaves & (1 << octant) != 0) {
             ChildLink::Leaf { offset, count } => Visit::Leaf {
                 node_page: page,

@@ -1,7 +1,7 @@
 //! Arguments that name distant light.
 
 use crate::cli::parse_triple;
-use pbgi::{EnvironmentSpec, LightSource, PbgiError};
+use pbgi::{EnvironmentPlacement, EnvironmentSpec, LightSource, PbgiError};
 use std::path::PathBuf;
 
 /// Distant light.
@@ -11,9 +11,12 @@ pub struct EnvironmentArgs {
     /// Equirectangular environment, EXR or HDR
     ///
     /// Its middle is seen along +Z (with +Z up, along -Y), a quarter from its left edge along +X, as OpenEXR and Mitsuba have it;
-    /// --env-rotate 90 places it as Blender and three.js do, whose middle is +X.
+    /// --env-placement blender has the middle along +X.
     #[arg(long, value_name = "FILE", conflicts_with = "env_color")]
     pub env: Option<PathBuf>,
+    /// Whose placement the environment has: openexr, mitsuba, blender, three; --env-rotate turns it on
+    #[arg(long, value_name = "WHOSE", default_value = "openexr", requires = "env", value_parser = parse_placement)]
+    pub env_placement: EnvironmentPlacement,
     /// Uniform environment of this radiance
     #[arg(long, value_name = "R,G,B", value_parser = parse_triple, allow_hyphen_values = true)]
     pub env_color: Option<[f32; 3]>,
@@ -23,6 +26,11 @@ pub struct EnvironmentArgs {
     /// Factor on the environment's radiance
     #[arg(long, value_name = "FACTOR", allow_hyphen_values = true, hide_short_help = true)]
     pub env_scale: Option<f32>,
+}
+
+fn parse_placement(name: &str) -> Result<EnvironmentPlacement, String> {
+    EnvironmentPlacement::from_name(name)
+        .ok_or_else(|| "expected openexr, mitsuba, blender or three".to_owned())
 }
 
 impl EnvironmentArgs {
@@ -47,7 +55,7 @@ impl EnvironmentArgs {
         };
         Ok(Some(EnvironmentSpec {
             source,
-            rotate_degrees: self.env_rotate.unwrap_or(0.0),
+            rotate_degrees: self.env_placement.rotate_degrees() + self.env_rotate.unwrap_or(0.0),
             scale: self.env_scale.unwrap_or(1.0),
         }))
     }

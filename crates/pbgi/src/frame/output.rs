@@ -14,9 +14,9 @@ use std::path::{Path, PathBuf};
 /// Depth written where no surface is: finite, so that compositors can blend it.
 const DEPTH_OF_NOTHING: f32 = 1e10;
 
-/// Averaged over the samples of a pixel: beauty, reflected indirect light, irradiance, albedo,
-/// occlusion, sky visibility, what is reflected glossily.
-const MIXED: usize = 17;
+/// Averaged over the samples of a pixel: beauty, reflected light of surfaces, irradiance, albedo,
+/// occlusion, sky visibility, what is reflected glossily, reflected light of the environment.
+const MIXED: usize = 20;
 /// Of the largest fragment of a pixel: bent normal.
 const NEAREST: usize = 3;
 
@@ -34,6 +34,8 @@ pub(crate) struct FrameImage {
     preview: Vec<[f32; 3]>,
     occlusion: Vec<f32>,
     covered: Vec<bool>,
+    /// Whether reflected light of surfaces, and of the environment, is written without the albedo.
+    without_color: [bool; 2],
 }
 
 impl FrameImage {
@@ -52,6 +54,8 @@ impl FrameImage {
             preview: Vec::with_capacity(pixels),
             occlusion: Vec::with_capacity(pixels),
             covered: Vec::with_capacity(pixels),
+            without_color: [Aov::DiffuseIndirect, Aov::DiffuseDirect]
+                .map(|aov| request.names.is_without_color(aov)),
         }
     }
 
@@ -66,7 +70,7 @@ impl FrameImage {
     ) {
         let coverage = &band.coverage;
         let mixed = coverage.resolve(
-            |i| mixed_values(&band.pieces[i], &shadings[i]),
+            |i| mixed_values(&band.pieces[i], &shadings[i], self.without_color),
             |direction| {
                 let mut values = [0.0; MIXED];
                 let radiance = background.map_or([0.0; 3], |e| e.radiance(direction));
@@ -87,6 +91,7 @@ impl FrameImage {
                 let (all, count) = match aov {
                     Aov::Beauty => ([values[0], values[1], values[2], alpha[pixel]], 4),
                     Aov::DiffuseIndirect => (with_zero(&values[3..6]), 3),
+                    Aov::DiffuseDirect => (with_zero(&values[17..20]), 3),
                     Aov::SpecularIndirect => (with_zero(&values[14..17]), 3),
                     Aov::Irradiance => (with_zero(&values[6..9]), 3),
                     Aov::Albedo => (with_zero(&values[9..12]), 3),
@@ -132,21 +137,24 @@ fn with_zero(values: &[f32]) -> [f32; 4] {
 }
 
 /// Values of a piece that are averaged over the samples of a pixel. Reflected radiance of a Lambertian
-/// surface is `albedo/π · E`, of what the gloss above it lets through.
-fn mixed_values(piece: &Piece, shading: &Shading) -> [f32; MIXED] {
+/// surface is `albedo/π · E`, of what the gloss above it lets through. `without_color` is of light of surfaces and of the environment.
+fn mixed_values(piece: &Piece, shading: &Shading, without_color: [bool; 2]) -> [f32; MIXED] {
     let irradiance = shading.irradiance();
     let mut values = [0.0; MIXED];
     for c in 0..3 {
         let through = 1.0 - shading.gloss_albedo[c];
         let reflected = through * piece.albedo[c] * FRAC_1_PI * irradiance[c];
         values[c] = reflected + shading.reflected[c] + piece.emission[c];
-        values[3 + c] = reflected;
+        let [indirect, direct] = without_color
+            .map(|without| through * FRAC_1_PI * if without { 1.0 } else { piece.albedo[c] });
+        values[3 + c] = indirect * shading.surface_irradiance[c];
+        values[17 + c] = direct * shading.environment_irradiance[c];
         values[6 + c] = irradiance[c];
         values[9 + c] = piece.albedo[c];
     }
     values[12] = shading.ambient_occlusion;
     values[13] = shading.sky_visibility;
-    values[14..].copy_from_slice(&shading.reflected);
+    values[14..17].copy_from_slice(&shading.reflected);
     values
 }
 

@@ -33,8 +33,9 @@ pub struct FrameRequest<'a> {
 }
 
 /// The quantities a frame can have. [`Aov::SpecularIndirect`] is 0 without [`ShadeSettings::gloss`].
-pub const FRAME_AOVS: [Aov; 11] = [
+pub const FRAME_AOVS: [Aov; 12] = [
     Aov::Beauty,
+    Aov::DiffuseDirect,
     Aov::DiffuseIndirect,
     Aov::SpecularIndirect,
     Aov::Irradiance,

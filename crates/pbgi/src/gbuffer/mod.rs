@@ -8,14 +8,17 @@ use crate::frame::output::{channel_count, settings_attributes};
 use crate::frame::{Frame, layers_of};
 use crate::gbuffer::surfaces::{GBuffer, GBufferSpace};
 use crate::points::table_receivers::{RowRules, TableReceivers};
+use crate::shade::nearness::{Cure, FarReceivers, placement};
 use crate::shade::target::spread;
 use crate::shade::{CHUNK_RECEIVERS, Session, ShadeSettings, read_header, up_axis};
 use crate::{PbgiError, Progress};
 use pbgi_format::Header;
 use pbgi_gather::{Receiver, Shading};
 use pbgi_image::{Aov, AovNames, AttributeValue, Image, LAYOUT_ATTRIBUTES, StoredChannel};
-use pbgi_math::DVec3;
+use pbgi_light::UpAxis;
+use pbgi_math::{DMat4, DVec3, Vec3};
 use pbgi_schedule::{CHUNKS_IN_FLIGHT, RECEIVER_BYTES_IN_FLIGHT};
+use pbgi_store::Octree;
 use std::borrow::Cow;
 use std::f32::consts::FRAC_1_PI;
 use std::path::Path;
@@ -33,6 +36,10 @@ pub struct GBufferRequest<'a> {
     pub camera: CameraChoice,
     /// The space of its vectors.
     pub space: GBufferSpace,
+    /// The axis that is up in its world; that of the octree where not given.
+    pub up: Option<UpAxis>,
+    /// Factor from the units of its world to those of the octree.
+    pub scale: f64,
     /// Whether its channels and attributes go into the result as they are.
     pub pass_through: bool,
     /// Channels to make, of [`GBUFFER_AOVS`].
@@ -44,8 +51,9 @@ pub struct GBufferRequest<'a> {
 }
 
 /// The quantities a shaded G-buffer can have. What it brings itself passes through on request.
-pub const GBUFFER_AOVS: [Aov; 7] = [
+pub const GBUFFER_AOVS: [Aov; 8] = [
     Aov::Beauty,
+    Aov::DiffuseDirect,
     Aov::DiffuseIndirect,
     Aov::SpecularIndirect,
     Aov::Irradiance,
@@ -77,12 +85,26 @@ pub fn shade_gbuffer(
             request.names.layer(*aov)
         )));
     }
+    if !(request.scale > 0.0 && request.scale.is_finite()) {
+        return Err(PbgiError::usage(format!(
+            "--gbuffer-scale is {}, expected a factor above 0, such as 0.01",
+            request.scale
+        )));
+    }
     let header = read_header(request.octree)?;
     let environment = settings.load_environment(&header)?;
     let eye = find_eye(request, &header)?;
     let limit = settings.memory_bytes;
-    let gbuffer =
-        GBuffer::read(request.gbuffer, request.space, &request.names, header.origin, eye, limit)?;
+    let to_octree = request.to_octree(&header);
+    let gbuffer = GBuffer::read(
+        request.gbuffer,
+        request.space,
+        &request.names,
+        &to_octree,
+        header.origin,
+        eye,
+        limit,
+    )?;
     if gbuffer.pixels.is_empty() {
         return Err(PbgiError::input(format!(
             "{}: no pixel shows a surface: alpha or normal are 0 everywhere",
@@ -92,6 +114,8 @@ pub fn shade_gbuffer(
     let bytes = result_bytes(&gbuffer, &request.aovs);
     let split = MemorySplit::measure(settings).grant(bytes, bytes)?;
     let mut session = Session::open(request.octree, settings, environment, split, 0, cancel)?;
+    let far = far_pixels(&session.octree, &gbuffer, request, &to_octree)?;
+    session.warnings.extend(far);
     let rules = RowRules { origin: header.origin, eye: None, gloss: settings.gloss };
     let rows = TableReceivers::new(&gbuffer.surfaces, 0, &rules)?;
     let extra =
@@ -104,7 +128,7 @@ pub fn shade_gbuffer(
     }
     let image = shade_pixels(&mut session, &gbuffer, &rows, request, progress)?;
     let is_lit = session.is_lit();
-    warn_of(&gbuffer, &request.aovs, &mut session.warnings);
+    warn_of(&gbuffer, &request.aovs, &request.names, &mut session.warnings);
     let mut report = session.finish(progress)?;
     report.empty_pixels = gbuffer.empty_pixels();
     report.total_seconds = start.elapsed().as_secs_f64();
@@ -125,7 +149,52 @@ pub fn shade_gbuffer(
     Ok(Frame { image, attributes, report, window, layers, passed, preview, covered, is_lit })
 }
 
-/// Place of the eye in the world, where a camera was chosen.
+impl GBufferRequest<'_> {
+    /// From the world of the G-buffer to that of the octree.
+    fn to_octree(&self, header: &Header) -> DMat4 {
+        let up = if header.flags.z_up { UpAxis::Z } else { UpAxis::Y };
+        placement(self.up.unwrap_or(up), up, self.scale)
+    }
+}
+
+/// What to say where the pixels do not show the surfaces of the octree.
+fn far_pixels(
+    octree: &Octree,
+    gbuffer: &GBuffer,
+    request: &GBufferRequest<'_>,
+    to_octree: &DMat4,
+) -> Result<Option<String>, PbgiError> {
+    let back = to_octree.inverse();
+    let surfaces = &gbuffer.surfaces;
+    let place = |position: &Vec3| back.transform_point3(position.as_dvec3() + surfaces.origin);
+    let places: Vec<DVec3> = surfaces.positions.iter().map(place).collect();
+    let Some(FarReceivers { sample, far, cure }) = FarReceivers::find(octree, &places, to_octree)?
+    else {
+        return Ok(None);
+    };
+    let name = request.gbuffer.display();
+    let text = format!("{name}: {far} of {sample} pixels looked at are far from all surfels");
+    let Some(Cure { up, scale, near }) = cure else {
+        return Ok(Some(format!(
+            "{text}; check that it shows the scene of {}, and the space of its positions (--gbuffer-space)",
+            request.octree.display()
+        )));
+    };
+    let (mut causes, mut options) = (Vec::new(), Vec::new());
+    let letter = |up: UpAxis| if up == UpAxis::Y { "y" } else { "z" };
+    if let Some(up) = up {
+        causes.push(format!("+{} is up in it", letter(up).to_uppercase()));
+        options.push(format!("--gbuffer-up {}", letter(up)));
+    }
+    if scale != 1.0 {
+        causes.push(format!("its unit is {scale} of the octree's"));
+        options.push(format!("--gbuffer-scale {scale}"));
+    }
+    let (causes, options) = (causes.join(" and "), options.join(" "));
+    Ok(Some(format!("{text}; {near} of them are near if {causes}: add {options}")))
+}
+
+/// Place of the eye in the G-buffer's world, where a camera was chosen.
 fn find_eye(request: &GBufferRequest<'_>, header: &Header) -> Result<Option<DVec3>, PbgiError> {
     if request.camera == CameraChoice::Default {
         return Ok(None);
@@ -157,7 +226,8 @@ fn shade_pixels(
     progress: &Progress,
 ) -> Result<PixelImage, PbgiError> {
     let surfaces = &gbuffer.surfaces;
-    let mut image = PixelImage::new(gbuffer, request);
+    let header = session.octree.header();
+    let mut image = PixelImage::new(gbuffer, request, header);
     let albedos = ["albedo_r", "albedo_g", "albedo_b"].map(|name| surfaces.column(name));
     let phase = progress.start_phase("shade", "receivers", Some(surfaces.len() as u64));
     session.stream(
@@ -182,14 +252,18 @@ fn shade_pixels(
 }
 
 /// What the user should know of a G-buffer.
-fn warn_of(gbuffer: &GBuffer, aovs: &[Aov], warnings: &mut Vec<String>) {
+fn warn_of(gbuffer: &GBuffer, aovs: &[Aov], names: &AovNames, warnings: &mut Vec<String>) {
     if gbuffer.damaged > 0 {
         warnings.push(format!(
             "{} pixels with alpha have a position or normal that is not finite; they are left out",
             gbuffer.damaged
         ));
     }
-    let needs_albedo = aovs.iter().any(|a| matches!(a, Aov::Beauty | Aov::DiffuseIndirect));
+    let needs_albedo = aovs.iter().any(|aov| match aov {
+        Aov::Beauty => true,
+        Aov::DiffuseDirect | Aov::DiffuseIndirect => !names.is_without_color(*aov),
+        _ => false,
+    });
     if needs_albedo && gbuffer.surfaces.column("albedo_r").is_none() {
         let reason = "the G-buffer has no albedo; reflected light is that of white surfaces";
         warnings.push(reason.to_owned());
@@ -236,6 +310,8 @@ fn passed_channels(
 struct PixelImage {
     image: Image,
     names: AovNames,
+    /// From directions in the octree's world to those in the G-buffer's.
+    from_octree: DMat4,
     /// Of each quantity, its first channel.
     planes: Vec<(Aov, usize)>,
     beauty: Vec<[f32; 3]>,
@@ -244,7 +320,7 @@ struct PixelImage {
 }
 
 impl PixelImage {
-    fn new(gbuffer: &GBuffer, request: &GBufferRequest<'_>) -> Self {
+    fn new(gbuffer: &GBuffer, request: &GBufferRequest<'_>, header: &Header) -> Self {
         let pixels = gbuffer.width * gbuffer.height;
         let mut image = Image::new(gbuffer.width, gbuffer.height);
         let mut planes = Vec::new();
@@ -257,6 +333,9 @@ impl PixelImage {
         Self {
             image,
             names: request.names.clone(),
+            from_octree: GBufferRequest { scale: 1.0, ..request.clone() }
+                .to_octree(header)
+                .inverse(),
             planes,
             beauty: vec![[0.0; 3]; pixels],
             occlusion: vec![0.0; pixels],
@@ -270,18 +349,29 @@ impl PixelImage {
         let through = shading.gloss_albedo.map(|gloss| 1.0 - gloss);
         let diffuse = [0, 1, 2].map(|c| through[c] * albedo[c] * FRAC_1_PI * irradiance[c]);
         let gloss = shading.reflected;
+        let part = |aov: Aov, light: [f32; 3]| {
+            let without = self.names.is_without_color(aov);
+            let of = |c: usize| {
+                through[c] * if without { 1.0 } else { albedo[c] } * FRAC_1_PI * light[c]
+            };
+            [of(0), of(1), of(2), 0.0]
+        };
         let [r, g, b] = [0, 1, 2].map(|c| diffuse[c] + gloss[c]);
         for (aov, first) in &self.planes {
             let (values, count) = match aov {
                 Aov::Beauty => ([r, g, b, alpha], 4),
-                Aov::DiffuseIndirect => ([diffuse[0], diffuse[1], diffuse[2], 0.0], 3),
+                Aov::DiffuseDirect => (part(*aov, shading.environment_irradiance), 3),
+                Aov::DiffuseIndirect => (part(*aov, shading.surface_irradiance), 3),
                 Aov::SpecularIndirect => ([gloss[0], gloss[1], gloss[2], 0.0], 3),
                 Aov::Irradiance => ([irradiance[0], irradiance[1], irradiance[2], 0.0], 3),
                 Aov::Occlusion => {
                     ([self.names.value(*aov, shading.ambient_occlusion), 0.0, 0.0, 0.0], 1)
                 }
                 Aov::SkyVisibility => ([shading.sky_visibility, 0.0, 0.0, 0.0], 1),
-                _ => (shading.bent_normal.extend(0.0).to_array(), 3),
+                _ => {
+                    let bent = self.from_octree.transform_vector3(shading.bent_normal.as_dvec3());
+                    (bent.as_vec3().extend(0.0).to_array(), 3)
+                }
             };
             for (channel, value) in self.image.channels[*first..].iter_mut().zip(&values[..count]) {
                 channel.data[pixel] = *value;

@@ -57,8 +57,8 @@ struct Planes {
 }
 
 impl GBuffer {
-    /// Reads the EXR image `path`. Positions become relative to `origin`. `eye` is where the camera is, if that is
-    /// known better than from the file.
+    /// Reads the EXR image `path`. Its world becomes the octree's by `to_octree`, then positions become relative to `origin`. `eye` is
+    /// where the camera is in its world, if that is known better than from the file.
     ///
     /// # Errors
     ///
@@ -67,6 +67,7 @@ impl GBuffer {
         path: &Path,
         space: GBufferSpace,
         names: &AovNames,
+        to_octree: &DMat4,
         origin: DVec3,
         eye: Option<DVec3>,
         memory_limit: u64,
@@ -79,11 +80,12 @@ impl GBuffer {
         if u32::try_from(width * height).is_err() {
             return Err(input(format!("{width} x {height} pixels, expected less than 2³²")));
         }
-        let to_world = to_world(space, &metadata).map_err(input)?;
+        let to_world = *to_octree * to_world(space, &metadata).map_err(input)?;
         let eye = match eye {
             Some(eye) => Some(eye),
             None => FileCamera::from_metadata(&metadata).map_err(input)?.map(|c| c.eye),
         };
+        let eye = eye.map(|eye| to_octree.transform_point3(eye));
         let planes = Planes::find(&stored, names).map_err(input)?;
         let mut gbuffer = Self {
             width,
@@ -248,7 +250,8 @@ mod tests {
     }
 
     fn read(path: &Path, space: GBufferSpace) -> Result<GBuffer, PbgiError> {
-        GBuffer::read(path, space, &AovNames::default(), ORIGIN, None, 1 << 30)
+        let names = AovNames::default();
+        GBuffer::read(path, space, &names, &DMat4::IDENTITY, ORIGIN, None, 1 << 30)
     }
 
     #[test]

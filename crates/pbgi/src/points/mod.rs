@@ -2,6 +2,7 @@
 //! itself.
 
 pub(crate) mod export;
+pub(crate) mod in_memory;
 pub(crate) mod results;
 pub(crate) mod rows;
 pub(crate) mod scan;

@@ -2,6 +2,7 @@
 //! and the report of what it did.
 
 pub(crate) mod check;
+pub(crate) mod nearness;
 pub(crate) mod statistics;
 pub(crate) mod target;
 
@@ -59,6 +60,43 @@ pub struct LoadedEnvironment {
     pub environment: Environment,
     /// What of its file was left out or read differently, one sentence each.
     pub warnings: Vec<String>,
+}
+
+/// Where an environment image lies in the world, as other programs place it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum EnvironmentPlacement {
+    /// Middle along +Z, or -Y with +Z up; a quarter from the left edge is +X
+    #[default]
+    Openexr,
+    /// As OpenEXR has it
+    Mitsuba,
+    /// Middle along +X; a quarter from the left edge is -Z, or +Y with +Z up
+    Blender,
+    /// As Blender has it
+    Three,
+}
+
+impl EnvironmentPlacement {
+    /// The rotation that places an image so, to be added to any other ([`EnvironmentSpec::rotate_degrees`]).
+    #[must_use]
+    pub fn rotate_degrees(self) -> f32 {
+        match self {
+            Self::Openexr | Self::Mitsuba => 0.0,
+            Self::Blender | Self::Three => 90.0,
+        }
+    }
+
+    /// The placement called `name`: `openexr`, `mitsuba`, `blender` or `three`.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        match name {
+            "openexr" => Some(Self::Openexr),
+            "mitsuba" => Some(Self::Mitsuba),
+            "blender" => Some(Self::Blender),
+            "three" => Some(Self::Three),
+            _ => None,
+        }
+    }
 }
 
 /// Distant light and how it is placed.

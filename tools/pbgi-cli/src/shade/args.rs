@@ -5,7 +5,9 @@ use crate::environment::EnvironmentArgs;
 use crate::shade::frames::Frames;
 use clap::{Args, Parser, ValueEnum};
 use pbgi::{Aov, AovNames, AovPreset};
-use pbgi::{CameraChoice, GlossSettings, ImportanceTerms, PbgiError, ShadeSettings, StoreSettings};
+use pbgi::{
+    CameraChoice, GlossSettings, ImportanceTerms, PbgiError, ShadeSettings, StoreSettings, UpAxis,
+};
 use std::path::PathBuf;
 
 /// Gather light from an octree file, for a picture or for points
@@ -171,9 +173,40 @@ pub struct GBufferArgs {
         hide_short_help = true
     )]
     pub gbuffer_space: SpaceArg,
+    /// Axis that is up in it, y or z [default: that of the octree]
+    #[arg(long, value_enum, value_name = "AXIS", requires = "gbuffer", hide_short_help = true)]
+    pub gbuffer_up: Option<UpArg>,
+    /// Factor from its units to those of the octree: 0.01 for centimeters over meters
+    #[arg(
+        long,
+        value_name = "FACTOR",
+        default_value_t = 1.0,
+        requires = "gbuffer",
+        allow_hyphen_values = true,
+        hide_short_help = true
+    )]
+    pub gbuffer_scale: f64,
     /// Take its other channels and attributes along, bit for bit
     #[arg(long, requires = "gbuffer")]
     pub pass_through: bool,
+}
+
+/// An axis that is up.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum UpArg {
+    /// +Y
+    Y,
+    /// +Z
+    Z,
+}
+
+impl From<UpArg> for UpAxis {
+    fn from(up: UpArg) -> Self {
+        match up {
+            UpArg::Y => Self::Y,
+            UpArg::Z => Self::Z,
+        }
+    }
 }
 
 /// The space of a G-buffer's vectors.
@@ -383,10 +416,21 @@ pub struct OutputArgs {
 }
 
 impl OutputArgs {
-    /// The channels asked for, among those `known`; those of gloss only where something is glossy.
-    pub fn parse_aovs(&self, known: &[Aov], has_gloss: bool) -> Result<Vec<Aov>, PbgiError> {
+    /// The channels asked for, among those `known`; those of gloss only where something is glossy, and direct light only where there is
+    /// an environment.
+    pub fn parse_aovs(
+        &self,
+        known: &[Aov],
+        settings: &ShadeSettings,
+    ) -> Result<Vec<Aov>, PbgiError> {
+        let has_gloss = settings.gloss.is_some();
+        let has_environment = settings.environment.is_some();
         if self.aovs == "all" {
-            let is_made = |aov: &&Aov| has_gloss || **aov != Aov::SpecularIndirect;
+            let is_made = |aov: &&Aov| match aov {
+                Aov::SpecularIndirect => has_gloss,
+                Aov::DiffuseDirect => has_environment,
+                _ => true,
+            };
             return Ok(known.iter().filter(is_made).copied().collect());
         }
         let names = AovNames::default();
@@ -411,6 +455,11 @@ impl OutputArgs {
         if !has_gloss && aovs.contains(&Aov::SpecularIndirect) {
             return Err(PbgiError::usage(
                 "--aovs: `specular_indirect` needs glossy surfaces; add --gloss or --roughness R",
+            ));
+        }
+        if !has_environment && aovs.contains(&Aov::DiffuseDirect) {
+            return Err(PbgiError::usage(
+                "--aovs: `diffuse_direct` is the light of an environment; add --env or --env-color",
             ));
         }
         if aovs.is_empty() {
@@ -536,17 +585,52 @@ mod tests {
     }
 
     #[test]
-    fn channels_are_found_by_name() {
-        let of = |list: &str, has_gloss| {
-            parse(&["--aovs", list]).unwrap().output_options.parse_aovs(&FRAME_AOVS, has_gloss)
+    fn environments_are_placed_as_named() {
+        use pbgi::EnvironmentPlacement;
+        let rotation = |options: &[&str]| {
+            let args = parse(&[&["--env", "sky.exr"][..], options].concat()).unwrap();
+            args.light.spec().unwrap().unwrap().rotate_degrees
         };
+        assert_eq!(rotation(&[]), 0.0);
+        for (name, degrees) in
+            [("openexr", 0.0), ("mitsuba", 0.0), ("blender", 90.0), ("three", 90.0)]
+        {
+            assert_eq!(EnvironmentPlacement::from_name(name).unwrap().rotate_degrees(), degrees);
+            assert_eq!(rotation(&["--env-placement", name]), degrees);
+            let turned = rotation(&["--env-placement", name, "--env-rotate", "-30"]);
+            assert_eq!(turned, degrees - 30.0);
+        }
+        assert!(parse(&["--env-placement", "blender"]).is_err(), "without an environment");
+    }
+
+    #[test]
+    fn channels_are_found_by_name() {
+        let in_light = |list: &str, has_gloss: bool, has_sky: bool| {
+            let environment =
+                has_sky.then(|| parse(&["--env-color", "1,1,1"]).unwrap().light.spec().unwrap());
+            let settings = ShadeSettings {
+                gloss: has_gloss.then(GlossSettings::default),
+                environment: environment.flatten(),
+                ..ShadeSettings::default()
+            };
+            parse(&["--aovs", list]).unwrap().output_options.parse_aovs(&FRAME_AOVS, &settings)
+        };
+        let of = |list: &str, has_gloss| in_light(list, has_gloss, true);
         let aovs = |list: &str| of(list, false);
         assert_eq!(aovs("all").unwrap().len(), FRAME_AOVS.len() - 1);
         assert_eq!(of("all", true).unwrap().len(), FRAME_AOVS.len());
         assert_eq!(of("specular_indirect", true).unwrap(), [Aov::SpecularIndirect]);
         assert!(aovs("specular_indirect").unwrap_err().to_string().contains("--gloss"));
+        assert_eq!(in_light("all", true, false).unwrap().len(), FRAME_AOVS.len() - 1);
+        let error = in_light("diffuse_direct", false, false).unwrap_err();
+        assert!(error.to_string().contains("--env"), "{error}");
         assert_eq!(aovs("beauty, ao,P,ao").unwrap(), [Aov::Beauty, Aov::Occlusion, Aov::Position]);
-        assert!(aovs("gloss").unwrap_err().to_string().contains("beauty, diffuse_indirect"));
+        assert!(
+            aovs("gloss")
+                .unwrap_err()
+                .to_string()
+                .contains("beauty, diffuse_direct, diffuse_indirect")
+        );
         assert!(aovs(",").is_err());
     }
 }

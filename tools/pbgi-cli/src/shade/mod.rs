@@ -197,7 +197,7 @@ fn picture(
     progress: &Progress,
     cancel: &AtomicBool,
 ) -> Result<ShadeReport, PbgiError> {
-    let aovs = args.output_options.parse_aovs(&FRAME_AOVS, settings.gloss.is_some())?;
+    let aovs = args.output_options.parse_aovs(&FRAME_AOVS, &settings)?;
     let limit = args.common.memory_limit;
     let mut warnings = Vec::new();
     let scene = args.view.scene.as_deref();
@@ -234,8 +234,10 @@ fn gbuffer(
             SpaceArg::World => GBufferSpace::World,
             SpaceArg::Camera => GBufferSpace::Camera,
         },
+        up: args.gbuffer.gbuffer_up.map(Into::into),
+        scale: args.gbuffer.gbuffer_scale,
         pass_through: args.gbuffer.pass_through,
-        aovs: args.output_options.parse_aovs(&GBUFFER_AOVS, settings.gloss.is_some())?,
+        aovs: args.output_options.parse_aovs(&GBUFFER_AOVS, &settings)?,
         names: args.output_options.names(),
         settings,
     };

@@ -64,6 +64,7 @@ fn positions_match_the_camera_and_channels_agree() {
     };
     let beauty = values::<4>(&image, Aov::Beauty);
     let indirect = values::<3>(&image, Aov::DiffuseIndirect);
+    let direct = values::<3>(&image, Aov::DiffuseDirect);
     let irradiance = values::<3>(&image, Aov::Irradiance);
     let [position, normal, bent] =
         [Aov::Position, Aov::Normal, Aov::BentNormal].map(|aov| values::<3>(&image, aov));
@@ -90,7 +91,8 @@ fn positions_match_the_camera_and_channels_agree() {
         assert!((Vec3::from_array(bent[pixel]).length() - 1.0).abs() < 1e-2);
         if alpha == 1.0 {
             for c in 0..3 {
-                assert!((beauty[pixel][c] - indirect[pixel][c]).abs() < 1e-6);
+                let sum = direct[pixel][c] + indirect[pixel][c];
+                assert!((beauty[pixel][c] - sum).abs() < 1e-6);
                 // Nothing receives more than the whole sky gives.
                 assert!(irradiance[pixel][c] <= 1.01 * std::f32::consts::PI * [2.0, 1.0, 0.5][c]);
             }

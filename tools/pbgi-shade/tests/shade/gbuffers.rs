@@ -1,6 +1,6 @@
 //! G-buffers, and cameras in files.
 
-use crate::support::{SCENE, fail, octree, shade, text};
+use crate::support::{SCENE, bake_lit, fail, octree, shade, text};
 use pbgi_image::{
     AttributeValue, Image, ImageWindow, Metadata, Samples, StoredChannel, read_exr,
     read_stored_exr, write_windowed_exr,
@@ -70,7 +70,7 @@ fn g_buffers_of_all_renderers_give_the_light_of_a_picture() {
         let stats: serde_json::Value = serde_json::from_str(&stats).unwrap();
         assert_eq!(stats["empty_pixels"], empty);
         assert_eq!(stats["receivers"], alpha.len() - empty);
-        for name in ["irradiance.G", "AO", "diffuse_indirect.R"] {
+        for name in ["irradiance.G", "AO", "diffuse_direct.R"] {
             let [found, expected] = [&found, &expected].map(|image| image.channel(name).unwrap());
             // A picture's pieces are shaded in their middles, a G-buffer's pixels in theirs.
             let error = |(found, expected): (&f32, &f32)| f64::from((found - expected).abs());
@@ -81,6 +81,85 @@ fn g_buffers_of_all_renderers_give_the_light_of_a_picture() {
             assert!(found.iter().zip(alpha).all(dark), "{name} is 0 where no surface is");
         }
     }
+}
+
+/// Sky and surfaces are apart, and add up to the beauty: as they are by Arnold's and RenderMan's names, and by Blender's after
+/// multiplication with the color, as compositors do it. A pixel of a G-buffer is one surface, so that this is exact.
+#[test]
+fn sky_and_surface_light_add_up_in_the_units_of_each_program() {
+    let folder = tempfile::tempdir().unwrap();
+    let [own, gbuffer, output] = ["p.exr", "g.exr", "o.exr"].map(|name| folder.path().join(name));
+    let octree = folder.path().join("lit.pbgi");
+    bake_lit(&octree);
+    picture(&own);
+    write_gbuffer(&own, &gbuffer, &[("P", "P"), ("N", "N"), ("albedo", "albedo")]);
+    let (given, _) = read_exr(&gbuffer).unwrap();
+    for (preset, beauty, direct, indirect, has_color) in [
+        ("arnold", "", "diffuse_direct.", "diffuse_indirect.", true),
+        ("blender", "Combined.", "Diffuse Direct.", "Diffuse Indirect.", false),
+        ("renderman", "Ci.", "directDiffuse.", "indirectDiffuse.", true),
+    ] {
+        let files = [text(&octree), "--gbuffer", text(&gbuffer), "-o", text(&output), "-q"];
+        let more = ["--env-color", "1,0.5,0.25", "--aov-names", preset];
+        shade(&[&files[..], &more].concat());
+        let (found, _) = read_exr(&output).unwrap();
+        let mut sums = [0.0; 2];
+        for c in ["R", "G", "B"] {
+            let channel = |layer: &str| found.channel(&format!("{layer}{c}")).unwrap();
+            let albedo = given.channel(&format!("albedo.{c}")).unwrap();
+            for pixel in 0..48 * 32 {
+                let color = if has_color { 1.0 } else { albedo[pixel] };
+                let parts = [direct, indirect].map(|layer| channel(layer)[pixel] * color);
+                let whole = channel(beauty)[pixel];
+                assert!((parts[0] + parts[1] - whole).abs() <= 1e-5 * whole, "{preset} {pixel}");
+                sums = [0, 1].map(|i| sums[i] + parts[i]);
+            }
+        }
+        assert!(sums[0] > 10.0 * 0.25 && sums[1] > 1.0, "both shine: {sums:?}");
+    }
+}
+
+/// With Z up, in centimeters: a warning names the options, and with them the light and the bent normals are those of the picture.
+#[test]
+fn another_axis_and_unit_are_named_and_mended() {
+    let folder = tempfile::tempdir().unwrap();
+    let [own, gbuffer, output] = ["p.exr", "g.exr", "o.exr"].map(|name| folder.path().join(name));
+    picture(&own);
+    let (image, _) = read_exr(&own).unwrap();
+    let mut other = Image::new(image.width, image.height);
+    for (layer, scale) in [("P", 100.0), ("N", 1.0)] {
+        for (theirs, own, sign) in [("X", "X", 1.0), ("Y", "Z", -1.0), ("Z", "Y", 1.0)] {
+            let data = image.channel(&format!("{layer}.{own}")).unwrap();
+            other.push(
+                format!("{layer}.{theirs}"),
+                data.iter().map(|v| sign * scale * v).collect::<Vec<f32>>(),
+            );
+        }
+    }
+    write_windowed_exr(&gbuffer, &other, &[], &ImageWindow::whole(48, 32), &[]).unwrap();
+    let octree = octree();
+    let files = [text(&octree), "--gbuffer", text(&gbuffer), "-o", text(&output)];
+    let light = ["--env-color", "1,0.5,0.25", "--progress", "none"];
+    let message = fail(3, &[&files[..], &light, &["--strict"]].concat());
+    assert!(message.contains("add --gbuffer-up z --gbuffer-scale 0.01"), "{message}");
+    let cure = ["--gbuffer-up", "z", "--gbuffer-scale", "0.01", "--aovs", "AO,bent_normal"];
+    shade(&[&files[..], &light, &cure, &["--strict"]].concat());
+    let (found, _) = read_exr(&output).unwrap();
+    let mut errors = [0.0; 4];
+    for (error, (theirs, own, sign)) in errors.iter_mut().zip([
+        ("AO", "AO", 1.0),
+        ("bent_normal.X", "bent_normal.X", 1.0),
+        ("bent_normal.Y", "bent_normal.Z", -1.0),
+        ("bent_normal.Z", "bent_normal.Y", 1.0),
+    ]) {
+        let [found, expected] =
+            [(&found, theirs), (&image, own)].map(|(image, name)| image.channel(name).unwrap());
+        let apart = found.iter().zip(expected).map(|(found, own)| (found - sign * own).abs());
+        *error = apart.sum::<f32>() / found.len() as f32;
+    }
+    assert!(errors.iter().all(|error| *error < 0.03), "{errors:?}");
+    let message = fail(2, &[&files[..], &light, &["--gbuffer-scale", "0"]].concat());
+    assert!(message.contains("--gbuffer-scale is 0"), "{message}");
 }
 
 #[test]

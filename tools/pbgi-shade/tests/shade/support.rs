@@ -1,6 +1,6 @@
 //! A small octree file, and the tool to run on it.
 
-use pbgi::{BakeRequest, Progress, Sampling, bake};
+use pbgi::{BakeRequest, EnvironmentSpec, LightRequest, LightSource, Progress, Sampling, bake};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
@@ -11,7 +11,19 @@ pub const SCENE: &str = "demo:spheres?size=6";
 
 /// Bakes `input` into `target`.
 pub fn bake_to(input: &str, surfels: u64, target: &Path) {
+    bake_in_light(input, surfels, LightRequest::default(), target);
+}
+
+/// Bakes [`SCENE`] into `target` under a white sky.
+pub fn bake_lit(target: &Path) {
+    let source = LightSource::Uniform([1.0; 3]);
+    let environment = Some(EnvironmentSpec { source, rotate_degrees: 0.0, scale: 1.0 });
+    bake_in_light(SCENE, 3000, LightRequest { environment, ..LightRequest::default() }, target);
+}
+
+fn bake_in_light(input: &str, surfels: u64, light: LightRequest, target: &Path) {
     let request = BakeRequest {
+        light,
         inputs: vec![input.to_owned()],
         output: target.to_owned(),
         sampling: Sampling::Surfels(surfels),

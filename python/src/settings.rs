@@ -1,0 +1,150 @@
+//! Settings as they come from Python, where every one is given.
+
+use pbgi::cli::CommonArgs;
+use pbgi::{
+    BakeRequest, EnvironmentPlacement, EnvironmentSpec, GlossSettings, LightRequest, LightSource,
+    PbgiError, ProgressMode, Sampling, ShadeSettings, UpAxis, resident_bytes,
+};
+use pyo3::prelude::*;
+use std::path::PathBuf;
+
+/// Distant light.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct Light {
+    path: Option<PathBuf>,
+    color: Option<[f32; 3]>,
+    placement: String,
+    rotate: f32,
+    scale: f32,
+}
+
+impl Light {
+    /// The environment asked for.
+    pub fn spec(self) -> Result<Option<EnvironmentSpec>, PbgiError> {
+        let Some(placement) = EnvironmentPlacement::from_name(&self.placement) else {
+            return Err(PbgiError::usage(format!(
+                "env_placement is `{}`, expected openexr, mitsuba, blender or three",
+                self.placement
+            )));
+        };
+        let file = self.path.map(LightSource::File);
+        let Some(source) = file.or(self.color.map(LightSource::Uniform)) else { return Ok(None) };
+        let rotate_degrees = placement.rotate_degrees() + self.rotate;
+        Ok(Some(EnvironmentSpec { source, rotate_degrees, scale: self.scale }))
+    }
+}
+
+/// What to bake, and how.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct BakeSettings {
+    inputs: Vec<String>,
+    output: PathBuf,
+    surfels: Option<String>,
+    spacing: Option<f32>,
+    memory_limit: String,
+    threads: usize,
+    env: Light,
+    bounces: u32,
+    bounce_share: usize,
+    up: Option<String>,
+    temp_dir: Option<PathBuf>,
+    force: bool,
+}
+
+impl BakeSettings {
+    /// The request of the engine.
+    pub fn request(self) -> Result<BakeRequest, PbgiError> {
+        let sampling = match (&self.surfels, self.spacing) {
+            (Some(_), Some(_)) => {
+                return Err(PbgiError::usage(
+                    "surfels and spacing exclude each other; leave one of them out",
+                ));
+            }
+            (Some(count), None) => {
+                Sampling::Surfels(pbgi::cli::parse_count(count).map_err(PbgiError::usage)?)
+            }
+            (None, Some(spacing)) => Sampling::Spacing(spacing),
+            (None, None) => Sampling::default(),
+        };
+        let up = match self.up.as_deref() {
+            None => None,
+            Some("y") => Some(UpAxis::Y),
+            Some("z") => Some(UpAxis::Z),
+            Some(other) => {
+                return Err(PbgiError::usage(format!("up is `{other}`, expected `y` or `z`")));
+            }
+        };
+        let memory_limit = parse_bytes(&self.memory_limit)?;
+        Ok(BakeRequest {
+            inputs: self.inputs,
+            output: self.output,
+            force: self.force,
+            sampling,
+            up,
+            light: LightRequest {
+                environment: self.env.spec()?,
+                bounces: self.bounces,
+                share: self.bounce_share,
+                ..LightRequest::default()
+            },
+            temp_dir: self.temp_dir,
+            threads: thread_count(self.threads, memory_limit),
+            memory_limit,
+            ..BakeRequest::default()
+        })
+    }
+}
+
+/// How to shade.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct Shading {
+    env: Light,
+    solid_angle: f32,
+    target_error: Option<f64>,
+    raster: usize,
+    check: usize,
+    gloss: bool,
+    roughness: Option<f32>,
+    metalness: Option<f32>,
+    specular: Option<f32>,
+    memory_limit: String,
+    threads: usize,
+}
+
+impl Shading {
+    /// The settings of the engine.
+    pub fn settings(self) -> Result<ShadeSettings, PbgiError> {
+        let Self { roughness, metalness, specular, .. } = self;
+        let numbers = GlossSettings { roughness, metalness, specular };
+        let is_glossy = self.gloss || numbers != GlossSettings::default();
+        let memory_bytes = parse_bytes(&self.memory_limit)?;
+        Ok(ShadeSettings {
+            environment: self.env.spec()?,
+            solid_angle_sr: self.solid_angle,
+            target_error: self.target_error,
+            raster_edge: self.raster,
+            check_receivers: self.check,
+            gloss: is_glossy.then_some(numbers),
+            threads: thread_count(self.threads, memory_bytes),
+            memory_bytes,
+            ..ShadeSettings::default()
+        })
+    }
+}
+
+/// A limit for the process: so many bytes beside what the process holds already, arrays of the caller among them.
+pub fn parse_bytes(text: &str) -> Result<u64, PbgiError> {
+    let bytes = pbgi::cli::parse_bytes(text).map_err(PbgiError::usage)?;
+    pbgi::cli::check_memory_limit(bytes)?;
+    Ok(bytes.saturating_add(resident_bytes().unwrap_or(0)))
+}
+
+/// As the tools have it: 0 is one per core, and there are bounds.
+pub fn thread_count(threads: usize, memory_limit: u64) -> usize {
+    let (strict, verbose, quiet) = (false, false, true);
+    let progress = ProgressMode::None;
+    CommonArgs { memory_limit, threads, progress, strict, verbose, quiet }.thread_count()
+}
