@@ -21,8 +21,9 @@ pub struct LobeSum {
     pub covered: f64,
     /// Where sheets are; empty where backs block.
     pub bounds: Aabb,
-    /// Where in the node's box the surfels lie, once that box is known; and the area they cover there, seen along the stencil's axis.
+    /// Where in the node's box the surfels lie, once that box is known.
     pub stencil: Stencil,
+    /// Cells that they cover, seen along the stencil's axis: Σ of the covered shares.
     pub stencil_area: f32,
 }
 

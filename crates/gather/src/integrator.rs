@@ -73,7 +73,7 @@ const PARALLAX_MAX: f32 = 0.6;
 impl Default for GatherSettings {
     fn default() -> Self {
         Self {
-            solid_angle_sr: 0.03,
+            solid_angle_sr: 0.05,
             importance: ImportanceTerms::ALL,
             raster_edge: 16,
             lobe_level: 3,

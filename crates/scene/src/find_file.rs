@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 const ENTRIES_MAX: usize = 100_000;
 
 /// The file called `name` beside the file `from`. Where there is none of exactly that name: with slashes for backslashes, in upper or
-/// lower case, or by its last part alone, for paths of the machine that wrote it. What has the exact name and is no file, a folder or a device, is returned for readers
+/// lower case, or by its last part alone, for paths of the machine that wrote it. A device or pipe of the exact name is returned for readers
 /// to refuse as such. `None` if all fail.
 pub(crate) fn find_file(from: &Path, name: &str) -> Option<PathBuf> {
     let folder = from.parent().unwrap_or(Path::new(""));
@@ -22,7 +22,7 @@ pub(crate) fn find_file(from: &Path, name: &str) -> Option<PathBuf> {
         .find(|path| path.is_file())
         .or_else(|| find_in_any_case(folder, &turned))
         .or_else(|| find_in_any_case(folder, last))
-        .or_else(|| Some(folder.join(name)).filter(|path| path.exists()))
+        .or_else(|| Some(folder.join(name)).filter(|path| path.exists() && !path.is_dir()))
 }
 
 /// Walks the parts of a relative name, each by its own case or any other.

@@ -8,14 +8,14 @@ use std::path::PathBuf;
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Light")]
 pub struct EnvironmentArgs {
-    /// Equirectangular environment, EXR or HDR
+    /// Equirectangular environment, EXR or HDR; see also --env-placement
     ///
     /// Its middle is seen along +Z (with +Z up, along -Y), a quarter from its left edge along +X, as OpenEXR and Mitsuba have it;
     /// --env-placement blender has the middle along +X.
     #[arg(long, value_name = "FILE", conflicts_with = "env_color")]
     pub env: Option<PathBuf>,
     /// Whose placement the environment has: openexr, mitsuba, blender, three; --env-rotate turns it on
-    #[arg(long, value_name = "WHOSE", default_value = "openexr", requires = "env", value_parser = parse_placement)]
+    #[arg(long, value_name = "WHOSE", default_value = "openexr", requires = "env", value_parser = parse_placement, hide_short_help = true)]
     pub env_placement: EnvironmentPlacement,
     /// Uniform environment of this radiance
     #[arg(long, value_name = "R,G,B", value_parser = parse_triple, allow_hyphen_values = true)]

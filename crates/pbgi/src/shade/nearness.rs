@@ -1,6 +1,7 @@
 //! Whether receivers lie on the surfels of an octree, and what is likely wrong where they do not: another axis up, another unit.
 
 use crate::PbgiError;
+use pbgi_format::LeafSurfel;
 use pbgi_light::UpAxis;
 use pbgi_math::{DMat4, DVec3, Vec3};
 use pbgi_store::{LeafWalk, Octree};
@@ -8,7 +9,7 @@ use pbgi_store::{LeafWalk, Octree};
 /// Receivers that are looked at.
 const SAMPLE_RECEIVERS: usize = 64;
 
-/// A receiver is near a surfel within so many times the typical distance of surfels, or 1.5 of its radii, of its center.
+/// A receiver is near a surfel within so many times the typical distance of surfels of its plane, and within as much, or 1.5 of its radii, of its center.
 const REACH: f32 = 4.0;
 
 /// Factors from the units of receivers to those of an octree that people meet: centimeters, millimeters, inches and feet against
@@ -96,7 +97,13 @@ fn is_near(octree: &Octree, place: Vec3) -> Result<bool, PbgiError> {
     let mut reader = octree.reader();
     let mut walk = LeafWalk::near(octree, place, reach);
     while let Some((_, surfels)) = walk.next_leaf(&mut reader)? {
-        if surfels.iter().any(|s| s.center.distance(place) <= reach.max(1.5 * s.radius)) {
+        let is_near = |s: &LeafSurfel| {
+            let apart = place - s.center;
+            let height = if s.isotropic { 0.0 } else { s.normal.dot(apart) };
+            let across2 = apart.length_squared() - height * height;
+            height.abs() <= reach && across2 <= reach.max(1.5 * s.radius).powi(2)
+        };
+        if surfels.iter().any(is_near) {
             return Ok(true);
         }
     }
@@ -116,7 +123,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let output = folder.path().join("s.pbgi");
         let request = BakeRequest {
-            inputs: vec!["demo:spheres?size=6".into()],
+            inputs: vec!["demo:street?seed=1".into()],
             output: output.clone(),
             sampling: Sampling::Surfels(20_000),
             ..BakeRequest::default()

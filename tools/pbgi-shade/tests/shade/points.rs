@@ -248,8 +248,10 @@ fn the_target_error_is_met_by_other_receivers_than_those_measured() {
     bake_to("demo:room", 20_000, &octree);
     let output = folder.path().join("out.ply");
     for (text, target) in [("10%", 0.1), ("3%", 0.03)] {
-        let more = ["--target-error", text, "--check", "150"];
-        let stats = shade_surfels(&octree, &output, "1", &more);
+        let files = [self::text(&octree), "--surfels", "-o", self::text(&output), "--force"];
+        let rest = ["--target-error", text, "--check", "150", "--stats-json", "-", "-q"];
+        let json = shade(&[&files[..], &rest].concat());
+        let stats: serde_json::Value = serde_json::from_str(&json).unwrap();
         let chosen = &stats["target"];
         assert!(chosen["error"].as_f64().unwrap() <= target, "{chosen}");
         assert!(chosen["receivers"].as_u64().unwrap() >= 100);
