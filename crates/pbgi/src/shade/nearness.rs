@@ -10,7 +10,7 @@ use pbgi_store::{LeafWalk, Octree};
 const SAMPLE_RECEIVERS: usize = 64;
 
 /// A receiver is near a surfel within so many times the typical distance of surfels of its plane, and within as much, or 1.5 of its radii, of its center.
-const REACH: f32 = 4.0;
+const REACH: f32 = 1.5;
 
 /// Factors from the units of receivers to those of an octree that people meet: centimeters, millimeters, inches and feet against
 /// meters, and back.
@@ -143,7 +143,7 @@ mod tests {
         };
         assert_eq!(find(UpAxis::Y, 1.0), None);
         for (up, scale) in [(UpAxis::Z, 1.0), (UpAxis::Y, 0.01), (UpAxis::Z, 0.01)] {
-            let found = find(up, scale).unwrap();
+            let found = find(up, scale).unwrap_or_else(|| panic!("{up:?} {scale}"));
             let other = (up != UpAxis::Y).then_some(up);
             assert_eq!(found.cure, Some(Cure { up: other, scale, near: 64 }), "{found:?}");
         }
