@@ -104,7 +104,7 @@ impl Lanes for Plain {
         let mut bits = 0;
         for lane in 0..SAMPLES {
             let (a, b) = (self.0[lane], row.0[lane]);
-            if 0.0 <= a && a < 8.0 && 0.0 <= b && b < 8.0 {
+            if (0.0..8.0).contains(&a) && (0.0..8.0).contains(&b) {
                 let cell = 8 * b as u32 + a as u32;
                 bits |= ((cells >> cell & 1) as u16) << lane;
             }

@@ -26,7 +26,7 @@ pub struct DemoArgs {
     /// Folder for the results
     #[arg(short, long, value_name = "FOLDER", default_value = "out")]
     out: PathBuf,
-    /// A large picture of many surfels: 960x540 and 2M instead of 480x270 and 500k
+    /// A large picture of many surfels: 960x540 and 2M instead of 320x180 and 500k
     #[arg(long)]
     full: bool,
     /// The default, which once was asked for
@@ -47,7 +47,7 @@ pub struct DemoArgs {
 }
 
 /// Surfels and pixels of the picture that comes soon, and of the large one.
-const FIRST_LOOK: (u64, [u32; 2]) = (500_000, [480, 270]);
+const FIRST_LOOK: (u64, [u32; 2]) = (500_000, [320, 180]);
 const FULL: (u64, [u32; 2]) = (2_000_000, [960, 540]);
 
 /// Columns of the sky's image; it is half as high.
@@ -240,7 +240,9 @@ impl Demo {
             ),
         ];
         if !self.is_full {
-            lines.push("  pbgi demo --full      four times the pixels and the surfels".to_owned());
+            lines.push(
+                "  pbgi demo --full      nine times the pixels, four times the surfels".to_owned(),
+            );
         }
         self.progress.note(&lines.join("\n"));
     }
