@@ -49,7 +49,7 @@ pub fn read_environment(path: &Path) -> Result<RgbImage, ImageError> {
 ///
 /// # Errors
 ///
-/// Those of [`read_exr`] and [`read_hdr`]; [`ImageError::Unsupported`] for other formats, for files without color, and for several
+/// Those of the EXR reader and [`read_hdr`]; [`ImageError::Unsupported`] for other formats, for files without color, and for several
 /// layers none of which is the picture by its name; [`ImageError::BadPixel`] for the first pixel that is far below 0, infinite or
 /// not a number.
 pub fn read_environment_noting(path: &Path) -> Result<ReadEnvironment, ImageError> {
