@@ -3,10 +3,9 @@
 use crate::lobe_sum::{LobeSum, lobe_area};
 use crate::reduce::{LobeReducer, LobeSums};
 use pbgi_cloud::{Surfel, SurfelFlags};
-use pbgi_format::{LOBES_MAX, Lobe};
+use pbgi_format::LOBES_MAX;
 use pbgi_math::{
-    Aabb, Stencil, StencilSum, Vec3, rectangle_half_edges, stencil_axis, triangle_base,
-    triangle_corners,
+    Aabb, Stencil, StencilSum, Vec3, rectangle_half_edges, triangle_base, triangle_corners,
 };
 
 /// Covered share of a cell, over the mean of what is covered, from which on a solid thing's stencil has the cell.
@@ -88,8 +87,7 @@ impl NodeAggregate {
     /// Empty stencils of its lobes, with their axes.
     fn stencils(&self) -> [Option<(usize, StencilSum)>; LOBES_MAX] {
         std::array::from_fn(|i| {
-            let lobe = self.lobes.get(i)?;
-            let axis = stencil_axis(Lobe::decoded_direction(lobe.vector.as_vec3()));
+            let axis = self.lobes.get(i)?.stencil_axis();
             Some((axis, StencilSum::new(&self.bounds, axis)))
         })
     }
@@ -143,9 +141,8 @@ impl NodeAggregate {
         for child in children {
             for (lobe, owner) in child.lobes.iter().zip(&mut owners) {
                 let Some(Some((_, sum))) = stencils.get_mut(*owner as usize) else { continue };
-                let axis = stencil_axis(Lobe::decoded_direction(lobe.vector.as_vec3()));
                 let share = lobe.stencil_area / lobe.stencil.0.count_ones().max(1) as f32;
-                sum.add_stencil(lobe.stencil, axis, &child.bounds, share.min(1.0));
+                sum.add_stencil(lobe.stencil, lobe.stencil_axis(), &child.bounds, share.min(1.0));
             }
         }
         sum.set_stencils(stencils, |sum, least| sum.finish(least));

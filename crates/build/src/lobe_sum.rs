@@ -106,6 +106,11 @@ impl LobeSum {
         own_part * other_part * both
     }
 
+    /// Axis along which its stencil is looked at, which is that of the direction as it is stored.
+    pub(crate) fn stencil_axis(&self) -> usize {
+        stencil_axis(Lobe::decoded_direction(self.vector.as_vec3()))
+    }
+
     /// Mean radiance.
     pub(crate) fn radiance(&self) -> [f32; 3] {
         self.flux.map(|f| (f / self.area) as f32)
@@ -124,7 +129,7 @@ impl LobeSum {
             let half = half.max(DVec3::splat(1e-3 * half.max_element()));
             let reach = normal.abs().dot(half).max(f64::MIN_POSITIVE);
             height = (normal.dot(self.moment / self.area - center) / reach).clamp(-1.0, 1.0);
-            let axis = stencil_axis(Lobe::decoded_direction(self.vector.as_vec3()));
+            let axis = self.stencil_axis();
             // The covered cells, laid into the plane.
             let edges = half * 2.0;
             let face = edges[(axis + 1) % 3] * edges[(axis + 2) % 3];

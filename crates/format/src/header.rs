@@ -193,9 +193,10 @@ impl Header {
         }
         let version = read_u32(bytes, 8);
         if version != FORMAT_VERSION {
-            let cure = match version < FORMAT_VERSION {
-                true => "the file is of an older program: bake it again",
-                false => "the file is of a newer program, which reads it",
+            let cure = if version < FORMAT_VERSION {
+                "the file is of an older program: bake it again"
+            } else {
+                "the file is of a newer program, which reads it"
             };
             let expected = format_args!("{FORMAT_VERSION} ({cure})");
             return Err(FormatError::new("header: version", version, expected));

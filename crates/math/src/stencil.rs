@@ -72,13 +72,39 @@ pub fn stencil_axis(normal: Vec3) -> usize {
     }
 }
 
+/// Where the cells of a box lie, seen along an axis.
+#[derive(Clone, Copy, Debug)]
+struct Cells {
+    low: [f32; 2],
+    /// Cells per length.
+    scale: [f32; 2],
+}
+
+impl Cells {
+    fn new(bounds: &Aabb, axis: usize) -> Self {
+        let extent = bounds.extent();
+        let least = (THICKNESS * extent.max_element()).max(f32::MIN_POSITIVE);
+        let axes = [(axis + 1) % 3, (axis + 2) % 3];
+        let edge = axes.map(|i| extent[i].max(least));
+        let center = bounds.center();
+        Self {
+            low: [0, 1].map(|i| center[axes[i]] - 0.5 * edge[i]),
+            scale: edge.map(|edge| STENCIL_EDGE as f32 / edge),
+        }
+    }
+
+    /// Shares of the cells along an axis that an interval covers.
+    fn shares(&self, axis: usize, low: f32, high: f32) -> [f32; STENCIL_EDGE] {
+        let [low, high] = [low, high].map(|x| (x - self.low[axis]) * self.scale[axis]);
+        std::array::from_fn(|i| (high.min(i as f32 + 1.0) - low.max(i as f32)).max(0.0))
+    }
+}
+
 /// How much of each cell of a stencil is covered, while it is summed.
 #[derive(Clone, Debug)]
 pub struct StencilSum {
     axis: usize,
-    low: [f32; 2],
-    /// Cells per length.
-    scale: [f32; 2],
+    cells: Cells,
     /// Covered share of each cell.
     covered: [[f32; STENCIL_EDGE]; STENCIL_EDGE],
 }
@@ -90,23 +116,8 @@ impl StencilSum {
     /// An empty one of a box, seen along an axis.
     #[must_use]
     pub fn new(bounds: &Aabb, axis: usize) -> Self {
-        let extent = bounds.extent();
-        let least = (THICKNESS * extent.max_element()).max(f32::MIN_POSITIVE);
-        let axes = [(axis + 1) % 3, (axis + 2) % 3];
-        let edge = axes.map(|i| extent[i].max(least));
-        let center = bounds.center();
-        Self {
-            axis,
-            low: [0, 1].map(|i| center[axes[i]] - 0.5 * edge[i]),
-            scale: edge.map(|edge| STENCIL_EDGE as f32 / edge),
-            covered: [[0.0; STENCIL_EDGE]; STENCIL_EDGE],
-        }
-    }
-
-    /// Shares of the cells along an axis that an interval covers, and the sum of these shares.
-    fn shares(&self, axis: usize, low: f32, high: f32) -> [f32; STENCIL_EDGE] {
-        let [low, high] = [low, high].map(|x| (x - self.low[axis]) * self.scale[axis]);
-        std::array::from_fn(|i| (high.min(i as f32 + 1.0) - low.max(i as f32)).max(0.0))
+        let covered = [[0.0; STENCIL_EDGE]; STENCIL_EDGE];
+        Self { axis, cells: Cells::new(bounds, axis), covered }
     }
 
     /// Adds something of this area, seen along the axis, that is spread evenly over a box.
@@ -114,15 +125,16 @@ impl StencilSum {
         let (a, b) = ((self.axis + 1) % 3, (self.axis + 2) % 3);
         let grow = |i: usize, axis: usize| {
             // A line is no less than a hundredth of a cell wide.
-            let least = 0.01 / self.scale[i];
+            let least = 0.01 / self.cells.scale[i];
             let (low, high) = (bounds.min[axis], bounds.max[axis]);
             let more = 0.5 * (least - (high - low)).max(0.0);
             (low - more, high + more)
         };
         let ((a0, a1), (b0, b1)) = (grow(0, a), grow(1, b));
-        let (columns, rows) = (self.shares(0, a0, a1), self.shares(1, b0, b1));
-        let cells = (a1 - a0) * self.scale[0] * ((b1 - b0) * self.scale[1]);
-        let share = area * self.scale[0] * self.scale[1] / cells;
+        let (columns, rows) = (self.cells.shares(0, a0, a1), self.cells.shares(1, b0, b1));
+        let [per_a, per_b] = self.cells.scale;
+        let cells = (a1 - a0) * per_a * ((b1 - b0) * per_b);
+        let share = area * per_a * per_b / cells;
         for (row, covered) in rows.into_iter().zip(&mut self.covered) {
             if row > 0.0 {
                 for (covered, column) in covered.iter_mut().zip(columns) {
@@ -134,11 +146,11 @@ impl StencilSum {
 
     /// Adds what a stencil of another box holds, each covered cell to this share.
     pub fn add_stencil(&mut self, stencil: Stencil, axis: usize, bounds: &Aabb, share: f32) {
-        let source = Self::new(bounds, axis);
         if axis == self.axis {
+            let source = Cells::new(bounds, axis);
             let edges = |i: usize, k: usize| source.low[i] + k as f32 / source.scale[i];
             let spread = |i: usize| -> [[f32; STENCIL_EDGE]; STENCIL_EDGE] {
-                std::array::from_fn(|k| self.shares(i, edges(i, k), edges(i, k + 1)))
+                std::array::from_fn(|k| self.cells.shares(i, edges(i, k), edges(i, k + 1)))
             };
             let (columns, rows) = (spread(0), spread(1));
             for (row, weights) in rows.iter().enumerate() {
@@ -227,14 +239,15 @@ mod tests {
 
     #[test]
     fn cells_are_where_things_lie() {
+        let bounds = Aabb { min: Vec3::new(-3.0, 1.0, 5.0), max: Vec3::new(1.0, 2.0, 7.0) };
         for axis in 0..3 {
-            let mut sum = StencilSum::new(&UNIT, axis);
+            let mut sum = StencilSum::new(&bounds, axis);
             // The low eighth along the columns, the upper half along the rows.
             let (a, b) = ((axis + 1) % 3, (axis + 2) % 3);
-            let mut thing = UNIT;
-            thing.max[a] = 0.125;
-            thing.min[b] = 0.5;
-            sum.add(&thing, 0.0625);
+            let (mut thing, extent) = (bounds, bounds.extent());
+            thing.max[a] = thing.min[a] + 0.125 * extent[a];
+            thing.min[b] = thing.max[b] - 0.5 * extent[b];
+            sum.add(&thing, 0.0625 * extent[a] * extent[b]);
             let (stencil, covered) = sum.finish(0.5);
             assert_eq!(stencil, Stencil(0x0101_0101_0000_0000), "{axis}");
             assert!((covered - 4.0).abs() < 1e-4, "{covered}");
@@ -263,6 +276,10 @@ mod tests {
         let (stencil, covered) = sum.finish(0.5);
         let apart = (stencil.0 ^ cells(Vec3::ZERO, 1.0).0).count_ones();
         assert!(apart <= 4, "{:016x}", stencil.0);
-        assert!((covered / 64.0 - 0.16 * std::f32::consts::PI).abs() < 0.02, "{covered}");
+        let disk = 0.16 * std::f32::consts::PI;
+        assert!((covered / 64.0 - disk).abs() < 0.02, "{covered}");
+        // Less than half a cell is none, so that areas stay; a lower bound adds the rim.
+        assert!((stencil.share() - disk).abs() < 0.04, "{:016x}", stencil.0);
+        assert!(sum.finish(0.05).0.share() > disk + 0.04);
     }
 }

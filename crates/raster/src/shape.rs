@@ -75,15 +75,13 @@ impl Shape for Section {
 
     #[inline(always)]
     fn turned(&self, face: CubeFace) -> Self {
-        // Corners keep their order, for the stencil: along the face's axis the low one may be the larger.
-        let axis = (self.axis + 3 - (face.axis() & 3) as u8) % 3;
-        Self {
-            inverse: turn(self.inverse, face),
-            low: turn(self.low, face),
-            high: turn(self.high, face),
-            axis,
-            ..*self
+        let (mut low, mut high) = (turn(self.low, face), turn(self.high, face));
+        // With a stencil corners keep their order: along the face's axis the low one may be the larger.
+        if self.stencil == Stencil::FULL {
+            (low, high) = (low.min(high), low.max(high));
         }
+        let axis = (self.axis + 3 - (face.axis() & 3) as u8) % 3;
+        Self { inverse: turn(self.inverse, face), low, high, axis, ..*self }
     }
 
     /// The point `D/w` is inside where `low·w ≤ D ≤ high·w` along every axis. No negative `w` satisfies both.
@@ -104,7 +102,7 @@ impl Shape for Section {
             let in_front = L::bits(L::splat(f32::MIN_POSITIVE).le(w));
             return cell(a, 0).in_cells(cell(b, 1), self.stencil.0) & in_front;
         }
-        let (low, high) = (self.low.min(self.high), self.low.max(self.high));
+        let (low, high) = (self.low, self.high);
         let xy = L::and(slab(x, w, low.x, high.x), slab(y, w, low.y, high.y));
         L::bits(L::and(xy, slab(z, w, low.z, high.z)))
     }

@@ -29,7 +29,7 @@ struct Pbgi {
 /// Where to begin.
 const FIRST_STEPS: &str = "\
 First steps:
-  pbgi demo                                          a picture from nothing, in a minute
+  pbgi demo                                          a picture from nothing, in two minutes
   pbgi bake  room.glb --surfels 1M -o room.pbgi      a mesh or a point cloud becomes an octree file
   pbgi shade room.pbgi --scene room.glb --env-color 1,1,1 -o room.exr --preview room.png
 

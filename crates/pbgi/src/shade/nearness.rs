@@ -4,7 +4,7 @@ use crate::PbgiError;
 use pbgi_format::LeafSurfel;
 use pbgi_light::UpAxis;
 use pbgi_math::{DMat4, DVec3, Vec3};
-use pbgi_store::{LeafWalk, Octree};
+use pbgi_store::{LeafWalk, Octree, Reader};
 
 /// Receivers that are looked at.
 const SAMPLE_RECEIVERS: usize = 64;
@@ -84,26 +84,25 @@ impl FarReceivers {
 
 /// How many of `places` are near a surfel after `transform`.
 fn count_near(octree: &Octree, places: &[DVec3], transform: &DMat4) -> Result<usize, PbgiError> {
-    let mut near = 0;
+    let (mut near, mut reader) = (0, octree.reader());
     for place in places {
         let place = transform.transform_point3(*place) - octree.header().origin;
-        near += usize::from(is_near(octree, place.as_vec3())?);
+        near += usize::from(is_near(octree, &mut reader, place.as_vec3())?);
     }
     Ok(near)
 }
 
-fn is_near(octree: &Octree, place: Vec3) -> Result<bool, PbgiError> {
+fn is_near(octree: &Octree, reader: &mut Reader<'_>, place: Vec3) -> Result<bool, PbgiError> {
     let reach = REACH * octree.header().spacing;
-    let mut reader = octree.reader();
     let mut walk = LeafWalk::near(octree, place, reach);
-    while let Some((_, surfels)) = walk.next_leaf(&mut reader)? {
-        let is_near = |s: &LeafSurfel| {
+    while let Some((_, surfels)) = walk.next_leaf(reader)? {
+        let brings_near = |s: &LeafSurfel| {
             let apart = place - s.center;
             let height = if s.isotropic { 0.0 } else { s.normal.dot(apart) };
             let across2 = apart.length_squared() - height * height;
             height.abs() <= reach && across2 <= reach.max(1.5 * s.radius).powi(2)
         };
-        if surfels.iter().any(is_near) {
+        if surfels.iter().any(brings_near) {
             return Ok(true);
         }
     }
