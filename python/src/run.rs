@@ -1,6 +1,6 @@
 //! Long work beside the interpreter: its lock is released, signals and callbacks are seen to by the calling thread.
 
-use pbgi::cli::{EXIT_INPUT, EXIT_INTERRUPTED, EXIT_MISUSED, EXIT_RESOURCES};
+use pbgi::{EXIT_INPUT, EXIT_INTERRUPTED, EXIT_MISUSED, EXIT_RESOURCES};
 use pbgi::{PbgiError, Progress, ProgressEvent};
 use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;

@@ -1,9 +1,9 @@
 //! Settings as they come from Python, where every one is given.
 
-use pbgi::cli::CommonArgs;
+use pbgi::figures;
 use pbgi::{
     BakeRequest, EnvironmentPlacement, EnvironmentSpec, GlossSettings, LightRequest, LightSource,
-    PbgiError, ProgressMode, Sampling, ShadeSettings, UpAxis, resident_bytes,
+    PbgiError, Sampling, ShadeSettings, UpAxis, check_memory_limit, resident_bytes, thread_count,
 };
 use pyo3::prelude::*;
 use std::path::PathBuf;
@@ -63,7 +63,7 @@ impl BakeSettings {
                 ));
             }
             (Some(count), None) => {
-                Sampling::Surfels(pbgi::cli::parse_count(count).map_err(PbgiError::usage)?)
+                Sampling::Surfels(figures::parse_count(count).map_err(PbgiError::usage)?)
             }
             (None, Some(spacing)) => Sampling::Spacing(spacing),
             (None, None) => Sampling::default(),
@@ -137,14 +137,7 @@ impl Shading {
 
 /// A limit for the process: so many bytes beside what the process holds already, arrays of the caller among them.
 pub fn parse_bytes(text: &str) -> Result<u64, PbgiError> {
-    let bytes = pbgi::cli::parse_bytes(text).map_err(PbgiError::usage)?;
-    pbgi::cli::check_memory_limit(bytes)?;
+    let bytes = figures::parse_bytes(text).map_err(PbgiError::usage)?;
+    check_memory_limit(bytes)?;
     Ok(bytes.saturating_add(resident_bytes().unwrap_or(0)))
-}
-
-/// As the tools have it: 0 is one per core, and there are bounds.
-pub fn thread_count(threads: usize, memory_limit: u64) -> usize {
-    let (strict, verbose, quiet) = (false, false, true);
-    let progress = ProgressMode::None;
-    CommonArgs { memory_limit, threads, progress, strict, verbose, quiet }.thread_count()
 }

@@ -27,7 +27,7 @@ pub use bake::input::{
 pub use bake::relight::{BOUNCES_MAX, LightRequest};
 pub use bake::report::{BakeReport, BytesPerSurfel, PhaseReport};
 pub use bake::request::{BakeRequest, NormalsChoice};
-pub use budget::limit::{MEMORY_LIMIT_MIN, check_memory_limit};
+pub use budget::limit::{MEMORY_LIMIT_MIN, check_memory_limit, thread_count};
 pub use budget::resident::{peak_resident_bytes, resident_bytes};
 pub use budget::split::MemorySplit;
 pub use error::{

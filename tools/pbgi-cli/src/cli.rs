@@ -1,8 +1,9 @@
 //! What all command-line tools share: options, sizes, Ctrl-C, exit codes.
 
+pub use pbgi::figures::{parse_bytes, parse_count};
 use pbgi::{
     Backend, EXIT_INTERRUPTED, PbgiError, Progress, ProgressMode, Verbosity, check_memory_limit,
-    write_statistics,
+    thread_count, write_statistics,
 };
 use std::io::{ErrorKind, Write};
 use std::path::Path;
@@ -18,12 +19,6 @@ Exit codes:
     3  an input is missing, damaged or of no known kind (also: warnings, with --strict)
     4  disk space, quota or memory limit do not suffice
   130  interrupted; nothing half-written stays";
-
-/// Most threads per core.
-const THREADS_PER_CORE: usize = 8;
-
-/// Bytes of the memory limit there must be for each thread.
-const THREAD_LIMIT_BYTES: u64 = 8 << 20;
 
 /// Options of every tool.
 #[derive(Clone, Copy, Debug, clap::Args)]
@@ -49,16 +44,10 @@ pub struct CommonArgs {
 }
 
 impl CommonArgs {
-    /// Threads to start, at least 1: at most a few per core, and so many that each has a small part of the memory limit. More would
-    /// change no result and gain nothing.
+    /// Threads to start, see [`thread_count`].
     #[must_use]
     pub fn thread_count(&self) -> usize {
-        let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        let affordable = usize::try_from(self.memory_limit / THREAD_LIMIT_BYTES).unwrap_or(1);
-        match self.threads {
-            0 => cores,
-            threads => threads.min(THREADS_PER_CORE * cores).min(affordable).max(1),
-        }
+        thread_count(self.threads, self.memory_limit)
     }
 
     /// How much to tell.
@@ -157,70 +146,6 @@ impl From<IoMode> for Backend {
     }
 }
 
-/// A number of bytes: `4GiB`, `512M`, `1.5g`, `100000`. K, M, G, T and KiB … are powers of 1024,
-/// kB, MB, GB and TB powers of 1000.
-///
-/// # Errors
-///
-/// Says what is expected.
-///
-/// ```
-/// assert_eq!(pbgi_cli::cli::parse_bytes("1.5GiB"), Ok(3 << 29));
-/// ```
-pub fn parse_bytes(text: &str) -> Result<u64, String> {
-    let expected = || format!("`{text}` is no size; expected one such as 512MiB or 4G");
-    let end = text.find(|c: char| !(c.is_ascii_digit() || c == '.')).unwrap_or(text.len());
-    let (digits, suffix) = text.split_at(end);
-    let binary = ["", "k", "m", "g", "t"];
-    let suffix = suffix.trim_start().to_ascii_lowercase();
-    let stem = suffix.strip_suffix("ib").or(suffix.strip_suffix('b'));
-    let is_decimal = stem.is_some_and(|s| !s.is_empty()) && !suffix.ends_with("ib");
-    let power = binary.iter().position(|&s| s == stem.unwrap_or(&suffix)).ok_or_else(expected)?;
-    let base: f64 = if is_decimal { 1000.0 } else { 1024.0 };
-    scale_number(digits, base.powi(power as i32)).ok_or_else(expected)
-}
-
-/// A count: `2M`, `1.5G`, `250k`, `1000`, `1e6`, `1_000_000`; the suffixes are powers of 1000.
-///
-/// # Errors
-///
-/// Says what is expected.
-///
-/// ```
-/// assert_eq!(pbgi_cli::cli::parse_count("1.5M"), Ok(1_500_000));
-/// ```
-pub fn parse_count(text: &str) -> Result<u64, String> {
-    let expected = || format!("`{text}` is no count; expected one such as 2M, 5e5 or 500000");
-    let text = text.replace('_', "");
-    let (digits, factor) = match text.char_indices().last() {
-        Some((end, 'k' | 'K')) => (&text[..end], 1e3),
-        Some((end, 'm' | 'M')) => (&text[..end], 1e6),
-        Some((end, 'g' | 'G')) => (&text[..end], 1e9),
-        _ => (&text[..], 1.0),
-    };
-    let (digits, factor) = match digits.split_once(['e', 'E']) {
-        Some((digits, power)) => (digits, factor * ten_to(power).ok_or_else(expected)?),
-        None => (digits, factor),
-    };
-    scale_number(digits, factor).ok_or_else(expected)
-}
-
-/// A power of ten, of one digit or two.
-fn ten_to(power: &str) -> Option<f64> {
-    let digits = power.strip_prefix('+').unwrap_or(power);
-    let is_short = (1..=2).contains(&digits.len()) && digits.bytes().all(|b| b.is_ascii_digit());
-    is_short.then(|| digits.parse().ok()).flatten().map(|power| 10f64.powi(power))
-}
-
-/// `digits` times `factor`, rounded; only unsigned decimal numbers below 2⁵³ pass.
-fn scale_number(digits: &str, factor: f64) -> Option<u64> {
-    if !digits.bytes().all(|b| b.is_ascii_digit() || b == b'.') {
-        return None;
-    }
-    let value = (digits.parse::<f64>().ok()? * factor).round();
-    (value < (1u64 << 53) as f64).then_some(value as u64)
-}
-
 /// Three numbers separated by commas, such as `0,1.5,-2`.
 ///
 /// # Errors
@@ -315,40 +240,6 @@ pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), Pbgi
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn sizes_are_read() {
-        for (text, bytes) in [
-            ("1000", 1000),
-            ("4GiB", 4 << 30),
-            ("2M", 2 << 20),
-            ("2 MiB", 2 << 20),
-            ("0.5g", 1 << 29),
-            ("3kB", 3000),
-            ("2GB", 2_000_000_000),
-            ("10b", 10),
-            ("1T", 1 << 40),
-        ] {
-            assert_eq!(parse_bytes(text), Ok(bytes), "{text}");
-        }
-        for text in ["", "M", "-1", "4XiB", "1..2", "1e9", "é", "ib", "99999999999999999T"] {
-            assert!(parse_bytes(text).is_err(), "{text}");
-        }
-    }
-
-    #[test]
-    fn counts_are_read() {
-        assert_eq!(parse_count("250k"), Ok(250_000));
-        assert_eq!(parse_count("1.25G"), Ok(1_250_000_000));
-        assert_eq!(parse_count("1e6"), Ok(1_000_000));
-        assert_eq!(parse_count("2.5E+3"), Ok(2500));
-        assert_eq!(parse_count("1_000_000"), Ok(1_000_000));
-        for text in
-            ["1e", "1e-3", "1e999", "e6", "_", "1e16", "1e6.5", "", "M", "-2M", "two", "nan", "é"]
-        {
-            assert!(parse_count(text).is_err(), "{text}");
-        }
-    }
 
     #[test]
     fn triples_are_read() {
