@@ -19,21 +19,29 @@ impl EnvironmentTexels {
     }
 }
 
+/// Integrals over eight texels of a row.
+#[derive(Clone, Copy, Debug, Default)]
+struct TableChunk {
+    /// `∫ d dω` per texel.
+    vector: [[f32; LANES]; 3],
+    /// The same over the texel's solid angle: its mean direction.
+    mean: [[f32; LANES]; 3],
+    /// How far `d` moves from a texel's middle to its border along u and along v, times the texel's
+    /// solid angle.
+    reach_u: [[f32; LANES]; 3],
+    reach_v: [[f32; LANES]; 3],
+    /// How much `d dω` changes from a texel's middle to its border along u and v, as `vector` is scaled.
+    tilt_u: [[f32; LANES]; 3],
+    tilt_v: [[f32; LANES]; 3],
+    /// Solid angle of texels in the sky, 0 elsewhere.
+    sky_sr: [f32; LANES],
+}
+
 /// Texel integrals in the shape the convolution reads them.
 #[derive(Clone, Debug)]
 pub struct ConvolutionTable {
-    /// `∫ d dω` per texel.
-    vector: [Vec<f32>; 3],
-    /// How far `d` moves from a texel's middle to its border along u and along v, times the texel's
-    /// solid angle.
-    reach_u: [Vec<f32>; 3],
-    reach_v: [Vec<f32>; 3],
-    /// How much `d dω` changes from a texel's middle to its border along u and v, as `vector` is scaled.
-    tilt_u: [Vec<f32>; 3],
-    tilt_v: [Vec<f32>; 3],
-    solid_angle_sr: Vec<f32>,
-    /// The same of texels in the sky, 0 elsewhere, and its sum.
-    sky_sr: Vec<f32>,
+    chunks: Vec<TableChunk>,
+    /// Solid angle of all texels in the sky.
     sky_sum_sr: f32,
 }
 
@@ -42,9 +50,6 @@ impl ConvolutionTable {
     #[must_use]
     pub fn new(table: &CubeRasterTable, up: Vec3) -> Self {
         let (n, stride) = (table.edge(), table.stride());
-        let plane = |value: &dyn Fn(usize) -> Vec3| -> [Vec<f32>; 3] {
-            std::array::from_fn(|axis| (0..6 * n * stride).map(|i| value(i)[axis]).collect())
-        };
         let half = 1.0 / n as f32;
         // Half of what `value` of a direction on the cube changes by over a texel.
         let change = |index: usize, along_u: bool, value: &dyn Fn(Vec3) -> Vec3| {
@@ -68,17 +73,26 @@ impl ConvolutionTable {
         let in_sky = |texel: &CubeTexel| {
             if texel.vector.dot(up) > 0.0 { texel.solid_angle_sr } else { 0.0 }
         };
-        let sky_sr: Vec<f32> = table.texels().iter().map(in_sky).collect();
-        Self {
-            sky_sum_sr: sky_sr.iter().sum(),
-            sky_sr,
-            vector: plane(&|i| table.texels()[i].vector),
-            reach_u: plane(&|i| reach(i, true)),
-            reach_v: plane(&|i| reach(i, false)),
-            tilt_u: plane(&|i| tilt(i, true)),
-            tilt_v: plane(&|i| tilt(i, false)),
-            solid_angle_sr: table.texels().iter().map(|t| t.solid_angle_sr).collect(),
+        let mut chunks = vec![TableChunk::default(); 6 * n * stride / LANES];
+        for (index, texel) in table.texels().iter().enumerate() {
+            let (chunk, lane) = (&mut chunks[index / LANES], index % LANES);
+            let mean = texel.vector / texel.solid_angle_sr.max(f32::MIN_POSITIVE);
+            let vectors = [
+                (&mut chunk.vector, texel.vector),
+                (&mut chunk.mean, mean),
+                (&mut chunk.reach_u, reach(index, true)),
+                (&mut chunk.reach_v, reach(index, false)),
+                (&mut chunk.tilt_u, tilt(index, true)),
+                (&mut chunk.tilt_v, tilt(index, false)),
+            ];
+            for (planes, vector) in vectors {
+                for (plane, along) in planes.iter_mut().zip(vector.to_array()) {
+                    plane[lane] = along;
+                }
+            }
+            chunk.sky_sr[lane] = in_sky(texel);
         }
+        Self { chunks, sky_sum_sr: table.texels().iter().map(in_sky).sum() }
     }
 }
 
@@ -116,6 +130,16 @@ fn clamp_below(x: f32, most: f32) -> f32 {
     if x < most { x } else { most }
 }
 
+/// Products with a vector.
+#[inline(always)]
+fn dot(planes: &[[f32; LANES]; 3], n: Vec3) -> [f32; LANES] {
+    let mut sum = [0.0; LANES];
+    for i in 0..LANES {
+        sum[i] = planes[0][i] * n.x + planes[1][i] * n.y + planes[2][i] * n.z;
+    }
+    sum
+}
+
 /// Sums a raster over the hemisphere around `normal`: `E = Σ L (n·d) dω`, with what lies `behind` it and the environment where
 /// texels are open. `plane` is the normal of the receiver's own surface, below which the raster counts samples as covered.
 ///
@@ -135,64 +159,63 @@ pub fn convolve_diffuse(
     behind: Option<&FarBlend<'_>>,
     [normal, plane]: [Vec3; 2],
 ) -> Diffuse {
-    let texels = table.solid_angle_sr.len();
     let mut surface = [[0.0f32; LANES]; 3];
     let mut distant = [[0.0f32; LANES]; 3];
     let mut bent = [[0.0f32; LANES]; 3];
     let (mut open_sum, mut weight_sum) = ([0.0f32; LANES], [0.0f32; LANES]);
     let mut sky = [0.0f32; LANES];
-    for start in (0..texels).step_by(LANES) {
-        let Some(chunk) = raster.chunk(start / LANES, behind) else { continue };
-        let lanes = |plane: &[f32]| -> [f32; LANES] {
-            plane[start..start + LANES].try_into().expect("rows are padded to lanes")
-        };
-        let dot = |planes: &[Vec<f32>; 3], n: Vec3| -> [f32; LANES] {
-            let (x, y, z) = (lanes(&planes[0]), lanes(&planes[1]), lanes(&planes[2]));
-            std::array::from_fn(|i| x[i] * n.x + y[i] * n.y + z[i] * n.z)
-        };
-        let cosine = dot(&table.vector, normal);
-        let (ru, rv) = (dot(&table.reach_u, normal), dot(&table.reach_v, normal));
-        let (tu, tv) = (dot(&table.tilt_u, normal), dot(&table.tilt_v, normal));
-        let weight: [f32; LANES] =
-            std::array::from_fn(|i| clamped_weight(cosine[i], ru[i].abs() + rv[i].abs()));
-        let open: [f32; LANES] = std::array::from_fn(|i| 1.0 - chunk.covered[i]);
-        let open_weight: [f32; LANES] = std::array::from_fn(|i| {
-            let tilt = tu[i] * chunk.open_offset[0][i] + tv[i] * chunk.open_offset[1][i];
-            clamp_below(open[i] * weight[i] + tilt, weight[i])
-        });
-        let omega = lanes(&table.solid_angle_sr);
-        let in_sky = lanes(&table.sky_sr);
+    for (index, texels) in table.chunks.iter().enumerate() {
+        let Some(chunk) = raster.chunk(index, behind) else { continue };
+        let cosine = dot(&texels.vector, normal);
+        let (ru, rv) = (dot(&texels.reach_u, normal), dot(&texels.reach_v, normal));
+        let mut weight = [0.0; LANES];
         for i in 0..LANES {
-            open_sum[i] += open_weight[i];
+            weight[i] = clamped_weight(cosine[i], ru[i].abs() + rv[i].abs());
             weight_sum[i] += weight[i];
-            // The sky seen over the receiver's own horizon, as far as texels resolve it.
-            sky[i] += if cosine[i] > 0.0 { in_sky[i] * open[i] } else { 0.0 };
         }
-        for axis in 0..3 {
-            let vector = lanes(&table.vector[axis]);
+        if chunk.is_open {
+            let (tu, tv) = (dot(&texels.tilt_u, normal), dot(&texels.tilt_v, normal));
+            let mut open_weight = [0.0; LANES];
             for i in 0..LANES {
-                // The texel's mean direction times its solid angle; weighted by its mean cosine.
-                bent[axis][i] += vector[i] * open_weight[i] / (omega[i] + 1e-30);
+                let open = 1.0 - chunk.covered[i];
+                let tilt = tu[i] * chunk.open_offset[0][i] + tv[i] * chunk.open_offset[1][i];
+                open_weight[i] = clamp_below(open * weight[i] + tilt, weight[i]);
+                open_sum[i] += open_weight[i];
+                // The sky seen over the receiver's own horizon, as far as texels resolve it.
+                sky[i] += if cosine[i] > 0.0 { texels.sky_sr[i] * open } else { 0.0 };
             }
-        }
-        if let Some(environment) = environment {
-            for (sum, plane) in distant.iter_mut().zip(&environment.channels) {
-                let light = lanes(plane);
+            for (sum, mean) in bent.iter_mut().zip(&texels.mean) {
+                // The texel's mean direction, weighted by its mean cosine.
                 for i in 0..LANES {
-                    sum[i] += light[i] * open_weight[i];
+                    sum[i] += mean[i] * open_weight[i];
+                }
+            }
+            if let Some(environment) = environment {
+                for (sum, plane) in distant.iter_mut().zip(&environment.channels) {
+                    let light = &plane[index * LANES..(index + 1) * LANES];
+                    for i in 0..LANES {
+                        sum[i] += light[i] * open_weight[i];
+                    }
                 }
             }
         }
-        if raster.shines() {
-            let [u, v] = &chunk.far_offset;
-            let far: [f32; LANES] = std::array::from_fn(|i| {
-                let placed = weight[i] + ru[i] * u[i] + rv[i] * v[i];
-                if weight[i] > 0.0 && placed > 0.0 { placed } else { 0.0 }
-            });
-            for channel in 0..3 {
-                let (near, behind) = (&chunk.radiance[channel], &chunk.far_radiance[channel]);
+        if chunk.is_lit {
+            for (sum, near) in surface.iter_mut().zip(&chunk.radiance) {
                 for i in 0..LANES {
-                    surface[channel][i] += near[i] * weight[i] + behind[i] * far[i];
+                    sum[i] += near[i] * weight[i];
+                }
+            }
+        }
+        if chunk.is_lit_behind {
+            let [u, v] = &chunk.far_offset;
+            let mut far = [0.0; LANES];
+            for i in 0..LANES {
+                let placed = weight[i] + ru[i] * u[i] + rv[i] * v[i];
+                far[i] = if weight[i] > 0.0 && placed > 0.0 { placed } else { 0.0 };
+            }
+            for (sum, behind) in surface.iter_mut().zip(&chunk.far_radiance) {
+                for i in 0..LANES {
+                    sum[i] += behind[i] * far[i];
                 }
             }
         }
@@ -236,11 +259,10 @@ mod tests {
             for normal in normals() {
                 let total: f32 = (0..table.texels().len())
                     .map(|i| {
-                        let dot = |p: &[Vec<f32>; 3]| {
-                            p[0][i] * normal.x + p[1][i] * normal.y + p[2][i] * normal.z
-                        };
-                        let reach = dot(&sums.reach_u).abs() + dot(&sums.reach_v).abs();
-                        clamped_weight(dot(&sums.vector), reach)
+                        let (chunk, lane) = (&sums.chunks[i / LANES], i % LANES);
+                        let along = |planes| dot(planes, normal)[lane];
+                        let reach = along(&chunk.reach_u).abs() + along(&chunk.reach_v).abs();
+                        clamped_weight(along(&chunk.vector), reach)
                     })
                     .sum();
                 assert!((total / PI - 1.0).abs() < tolerance, "{n} {normal}: {}", total / PI);

@@ -1,19 +1,14 @@
 //! What a node shows to a receiver.
 
-use pbgi_format::{LOBES_MAX, Lobe, SurfelLayout};
-use pbgi_math::{
-    Stencil, Vec3, box_silhouette, central_section_area, patch_solid_angle_factor, stencil_axis,
-};
+use crate::known::{KnownLobe, SHEET_WHOLE, thick_half};
+use pbgi_format::LOBES_MAX;
+use pbgi_math::{Stencil, Vec3, box_silhouette, central_section_area, patch_solid_angle_factor};
 
 /// A piece of a plane that stands for one lobe of a node.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Piece {
     /// The plane: its normal over its signed distance from the receiver.
     pub inverse: Vec3,
-    /// Smallest corner of the box that cuts the piece out of the plane, relative to the receiver; inside the node's.
-    pub low: Vec3,
-    /// Largest corner.
-    pub high: Vec3,
     /// Whether it stands for surfaces of all orientations, which lie anywhere in the node's box, and faces the receiver.
     pub is_round: bool,
     /// Which share of what the stencil leaves of the plane's section with the node's box it covers: from here …
@@ -47,22 +42,9 @@ pub struct Cluster {
     count: usize,
 }
 
-/// Largest `h/(|V| + h)` of a lobe of a solid thing that is drawn in its plane, where its stencil says; rounder ones are drawn facing the receiver.
-/// A half sphere has 0.55. At 0.3 sr, the street has an error of 8.0 % with 0.25, of 2.9 % with 0.7 and the same with 1.
-const SOLID_FLAT_WIDTH: f32 = 0.7;
-
-/// The same for sheets, whose parts lie in no plane where their normals differ: leaves. 0.05 and 0.25 change errors by a tenth of themselves.
-const SHEET_FLAT_WIDTH: f32 = 0.1;
-
 /// Fill from which on a flat lobe of a solid thing has no holes: its stencil says where it lies, and cells that hold its rim are covered in part. At
 /// 0.1 sr, foliage has an error of 9.5 % with 0.5, of 6.1 % with 0.3 and of 6.0 % with 0.15; the street, at 0.3 sr, of 3.2, 3.6 and 3.9 %.
 const SOLID_CLOSED: f32 = 0.3;
-
-/// The same for sheets, which have holes.
-const SHEET_WHOLE: f32 = 0.95;
-
-/// Thickness of a flat box, as a share of its largest edge; known to the builder.
-const THICKNESS: f32 = 1e-3;
 
 /// A lobe as the receiver sees it.
 #[derive(Clone, Copy, Default)]
@@ -90,7 +72,7 @@ impl Cluster {
         &self.pieces[..self.count]
     }
 
-    /// Evaluates a node's lobes toward the receiver; `margin` is [`Self::REACH`] times the box's largest edge.
+    /// Evaluates the lobes of a node with this box, relative to a receiver at `position`; `margin` is [`Self::REACH`] times the box's largest edge.
     ///
     /// Opaque surfaces enclose things: the areas their fronts show do not overlap, and add up; their backs are behind
     /// their fronts. Sheets (front-only surfels back to back: leaves, cloth) do overlap, unless they are one flat
@@ -101,22 +83,22 @@ impl Cluster {
         low: Vec3,
         high: Vec3,
         margin: f32,
-        (lobes, stencils): (&[u8], &[Stencil; LOBES_MAX]),
+        lobes: &[KnownLobe],
         seed: u32,
-        layout: &SurfelLayout,
+        position: Vec3,
     ) -> Self {
-        let (center, half) = ((low + high) * 0.5, (high - low) * 0.5);
-        let largest = half.max_element();
-        let half = half.max(Vec3::splat(THICKNESS * largest));
-        let distance = center.length();
-        let toward_receiver = center * (-1.0 / distance);
+        let (center, half) = ((low + high) * 0.5, thick_half(low, high));
+        let inverse_distance = 1.0 / center.length();
+        let toward_receiver = center * -inverse_distance;
         let mut shown = [Shown::default(); LOBES_MAX];
         let mut count = 0;
-        let stored = lobes.chunks_exact(Lobe::stored_bytes(layout.channels));
-        for (stored, stencil) in stored.zip(stencils) {
-            let mut lobe = Lobe::read(stored, layout.channels, layout.area, layout.radiance_scale);
-            lobe.stencil = *stencil;
-            let Some(seen) = see_lobe(&lobe, center, half, toward_receiver) else { continue };
+        for lobe in lobes {
+            let seen = if lobe.is_flat {
+                see_flat(lobe, lobe.point - position)
+            } else {
+                see_round(lobe, center, half, toward_receiver)
+            };
+            let Some(seen) = seen else { continue };
             // By distance, nearest first.
             let mut at = count;
             while at > 0 && shown[at - 1].distance2 > seen.distance2 {
@@ -126,20 +108,23 @@ impl Cluster {
             shown[at] = seen;
             count += 1;
         }
-        let shown = drop_backs(&mut shown[..count]);
-        thin_sheets(shown, box_silhouette(half, toward_receiver));
+        if count > 1 {
+            count = drop_backs(&mut shown[..count]);
+            thin_sheets(&mut shown[..count], || box_silhouette(half, toward_receiver));
+        } else if count == 1 && shown[0].is_sheet && !shown[0].is_flat {
+            thin_sheets(&mut shown[..1], || box_silhouette(half, toward_receiver));
+        }
         let mut cluster = Self {
             low: low - margin,
             high: high + margin,
             seed,
-            spread: half.length() / distance,
-            count: shown.len(),
+            spread: half.length() * inverse_distance,
+            count,
             ..Self::default()
         };
         let mut covered = 0.0;
-        for (piece, seen) in cluster.pieces.iter_mut().zip(shown.iter()) {
+        for (piece, seen) in cluster.pieces.iter_mut().zip(&shown[..count]) {
             *piece = seen.piece;
-            (piece.low, piece.high) = (cluster.low, cluster.high);
             let closed = if seen.is_sheet { SHEET_WHOLE } else { SOLID_CLOSED };
             if seen.is_flat {
                 piece.end = if seen.opacity >= closed { 1.0 } else { seen.opacity };
@@ -158,9 +143,9 @@ impl Cluster {
 /// Share of the backs' area that fronts must show to hide them.
 const HIDING: f32 = 0.7;
 
-/// Leaves out the backs where fronts show about as much: they are the far side of the same thing.
+/// Leaves out the backs where fronts show about as much: they are the far side of the same thing. Returns how many are left.
 #[inline(always)]
-fn drop_backs(shown: &mut [Shown]) -> &mut [Shown] {
+fn drop_backs(shown: &mut [Shown]) -> usize {
     let (mut fronts, mut backs) = (0.0, 0.0);
     for seen in shown.iter() {
         if seen.is_front {
@@ -170,7 +155,7 @@ fn drop_backs(shown: &mut [Shown]) -> &mut [Shown] {
         }
     }
     if backs == 0.0 || fronts < HIDING * backs {
-        return shown;
+        return shown.len();
     }
     let mut kept = 0;
     for index in 0..shown.len() {
@@ -179,76 +164,87 @@ fn drop_backs(shown: &mut [Shown]) -> &mut [Shown] {
             kept += 1;
         }
     }
-    &mut shown[..kept]
+    kept
 }
 
-/// What a lobe shows, or none where it shows nothing that blocks.
+/// What a lobe shows of its front and its back to a receiver at the other end of `point`: areas, and the distance and its square.
 #[inline(always)]
-fn see_lobe(lobe: &Lobe, center: Vec3, half: Vec3, toward_receiver: Vec3) -> Option<Shown> {
-    let length = lobe.vector.length();
-    let flat_width = if lobe.blocks_back { SOLID_FLAT_WIDTH } else { SHEET_FLAT_WIDTH };
-    let is_flat = lobe.width <= flat_width * (length + lobe.width);
-    let (mut normal, mut point) = (toward_receiver, center);
-    if is_flat {
-        normal = lobe.vector * (1.0 / length);
-        point = center + normal * (lobe.height * normal.abs().dot(half));
-    }
-    let (distance2, height) = (point.length_squared(), normal.dot(point));
-    let distance = distance2.sqrt();
-    // Which side is seen follows from the lobe's own plane: that may lie far from the box's middle.
-    let along = lobe.vector.dot(point) * (-1.0 / distance);
-    let root = (along * along + lobe.width * lobe.width).sqrt();
-    let (front, back) = (0.5 * (along + root), 0.5 * (root - along));
-    let back = if lobe.blocks_back { back } else { 0.0 };
-    let is_front = if is_flat { height < 0.0 } else { front > 0.0 };
-    let mut area = if is_flat && !is_front { back } else { front.max(back) };
+fn sides(lobe: &KnownLobe, point: Vec3) -> ([f32; 2], f32, f32) {
+    let distance2 = point.length_squared();
+    let inverse_distance = 1.0 / distance2.sqrt();
+    let along = lobe.lobe.vector.dot(point) * -inverse_distance;
+    let root = (along * along + lobe.lobe.width * lobe.lobe.width).sqrt();
+    let back = if lobe.lobe.blocks_back { 0.5 * (root - along) } else { 0.0 };
+    ([0.5 * (along + root), back], distance2, inverse_distance)
+}
+
+/// What a flat lobe shows, a piece of its plane, or none where it shows nothing that blocks. Which side is seen follows from the lobe's own plane,
+/// which may lie far from the box's middle.
+#[inline(always)]
+fn see_flat(known: &KnownLobe, point: Vec3) -> Option<Shown> {
+    let &KnownLobe { ref lobe, normal, axis, .. } = known;
+    let ([front, back], distance2, inverse_distance) = sides(known, point);
+    let height = normal.dot(point);
+    let is_front = height < 0.0;
+    let mut area = if is_front { front.max(back) } else { back };
     if !(area > 0.0) {
         return None;
     }
-    let opacity = if is_flat {
-        lobe.fill
-    } else {
-        (area / central_section_area(half, toward_receiver)).min(1.0)
-    };
     // Seen along its edge it covers nothing; the plane must not contain the receiver.
-    let least = 1e-6 * distance;
+    let least = 1e-6 * (distance2 * inverse_distance);
+    let across = point - normal * height;
     let height = if height.abs() < least { least } else { height };
-    let mut piece = Piece {
+    let mut solid_angle = if is_front { front } else { back } / distance2;
+    let along2 = known.variance.dot(across * across);
+    solid_angle *= patch_solid_angle_factor(distance2, known.spread2, along2);
+    if is_front {
+        // Leaves above each other hide as much of their light.
+        solid_angle *= known.covered;
+        area *= known.covered;
+    }
+    let piece = Piece {
         inverse: normal * (1.0 / height),
-        low: Vec3::ZERO,
-        high: Vec3::ZERO,
-        is_round: !is_flat,
+        is_round: false,
+        start: 0.0,
+        end: 0.0,
+        solid_angle,
+        cosine: height.abs() * inverse_distance,
+        radiance: if is_front { lobe.radiance } else { [0.0; 3] },
+        stencil: lobe.stencil,
+        axis,
+    };
+    let (opacity, is_sheet) = (lobe.fill, !lobe.blocks_back);
+    Some(Shown { piece, distance2, opacity, area, is_sheet, is_flat: true, is_front })
+}
+
+/// What a round lobe shows, a section through the middle of its box that faces the receiver, or none where it shows nothing that blocks.
+#[inline(always)]
+fn see_round(known: &KnownLobe, center: Vec3, half: Vec3, toward_receiver: Vec3) -> Option<Shown> {
+    let ([front, back], distance2, inverse_distance) = sides(known, center);
+    let (area, is_front) = (front.max(back), front > 0.0);
+    if !(area > 0.0) {
+        return None;
+    }
+    let lobe = &known.lobe;
+    let piece = Piece {
+        inverse: toward_receiver * -inverse_distance,
+        is_round: true,
         start: 0.0,
         end: 0.0,
         solid_angle: if is_front { front } else { back } / distance2,
-        cosine: height.abs() * (1.0 / distance),
+        cosine: 1.0,
         radiance: if is_front { lobe.radiance } else { [0.0; 3] },
-        stencil: if is_flat { lobe.stencil } else { Stencil::FULL },
-        axis: stencil_axis(normal) as u8,
+        stencil: Stencil::FULL,
+        axis: 0,
     };
-    if is_flat {
-        // Points spread evenly over the box's section with the plane: those over the box, laid into it.
-        let variance = half * half * (opacity * lobe.stencil.share() * (1.0 / 3.0));
-        let across = point - normal * height;
-        let spread2 = variance.dot(Vec3::ONE - normal * normal);
-        piece.solid_angle *=
-            patch_solid_angle_factor(distance2, spread2, variance.dot(across * across));
-    }
+    let opacity = (area / central_section_area(half, toward_receiver)).min(1.0);
     let is_sheet = !lobe.blocks_back;
-    if is_flat && is_sheet && is_front && lobe.fill < SHEET_WHOLE {
-        // Leaves above each other cover less than they have area, and hide as much of their light.
-        let covered = lobe.fill * lobe.stencil.share() * central_section_area(half, normal);
-        if covered < length {
-            piece.solid_angle *= covered / length;
-            area *= covered / length;
-        }
-    }
-    Some(Shown { piece, distance2, opacity, area, is_sheet, is_flat, is_front })
+    Some(Shown { piece, distance2, opacity, area, is_sheet, is_flat: false, is_front })
 }
 
 /// Reduces what sheets show that are not one flat piece to `1 − e^−τ`.
 #[inline(always)]
-fn thin_sheets(shown: &mut [Shown], silhouette: f32) {
+fn thin_sheets(shown: &mut [Shown], silhouette: impl Fn() -> f32) {
     let (mut total, mut flat, mut flat_index) = (0.0, 0.0, usize::MAX);
     for (index, seen) in shown.iter().enumerate() {
         if seen.is_sheet {
@@ -262,6 +258,7 @@ fn thin_sheets(shown: &mut [Shown], silhouette: f32) {
     if !(rest > 1e-3 * total) {
         return;
     }
+    let silhouette = silhouette();
     let open = (silhouette - flat).max(0.0);
     let factor = (open * (1.0 - (-rest / silhouette).exp()) / rest).min(1.0);
     for (index, seen) in shown.iter_mut().enumerate() {
@@ -275,7 +272,8 @@ fn thin_sheets(shown: &mut [Shown], silhouette: f32) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pbgi_format::{Channels, MiniFloat};
+    use pbgi_format::{Channels, Lobe, MiniFloat, SurfelLayout};
+    use pbgi_math::Aabb;
 
     /// Floor and wall of a node, as the receiver sees them.
     fn see_corner(receiver: Vec3) -> Cluster {
@@ -307,8 +305,15 @@ mod tests {
             };
             lobe.write(layout.channels, layout.area, layout.radiance_scale, &mut bytes);
         }
-        let lobes = (&bytes[..], &[CORNER; LOBES_MAX]);
-        Cluster::from_lobes(-receiver, Vec3::ONE - receiver, 0.0, lobes, 1, &layout)
+        let bounds = Aabb { min: Vec3::ZERO, max: Vec3::ONE };
+        let stored = bytes.chunks_exact(Lobe::stored_bytes(layout.channels));
+        let known = |stored: &[u8]| {
+            let mut lobe = Lobe::read(stored, layout.channels, layout.area, 1.0);
+            lobe.stencil = CORNER;
+            KnownLobe::new(&lobe, &bounds)
+        };
+        let lobes: Vec<KnownLobe> = stored.map(known).collect();
+        Cluster::from_lobes(-receiver, Vec3::ONE - receiver, 0.0, &lobes, 1, receiver)
     }
 
     #[test]
@@ -335,7 +340,6 @@ mod tests {
             let cluster = see(receiver, &[Vec3::Y], fill, 0.0);
             let [piece] = cluster.pieces() else { panic!("one piece") };
             assert!(piece.start == 0.0 && (piece.end - end).abs() < 3e-3, "{fill}: {piece:?}");
-            assert_eq!((piece.low, piece.high), (cluster.low, cluster.high));
             assert_eq!((piece.stencil, piece.axis), (CORNER, 1));
         }
         // What is round lies anywhere in the box.

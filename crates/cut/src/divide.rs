@@ -1,15 +1,13 @@
 //! Which nodes are far from a block of receivers, and which are near: what is far looks alike to all of them.
 
-use crate::metric::{NodeSeen, Threshold};
-use crate::node::{
-    Group, Limits, NodeRef, Viewpoint, child_index, distance, follow_link, pin_sound_page,
-    view_group,
-};
+use crate::known::{KnownGroup, NodeReader};
+use crate::metric::NodeSeen;
+use crate::node::{Limits, NodeRef, Viewpoint, distance};
 use crate::stats::CutStats;
-use crate::walk::{CutReceiver, WalkFrom, root_place};
+use crate::walk::{CutReceiver, WalkFrom};
 use pbgi_format::CHILDREN_MAX;
 use pbgi_math::{Aabb, Vec3};
-use pbgi_store::{Reader, StoreError};
+use pbgi_store::StoreError;
 
 /// How far from a block a node must be to be far.
 pub trait Separation {
@@ -22,19 +20,6 @@ const NEAR_RADIUS: f32 = 0.2;
 
 /// Near leaves up to which receivers have little left to draw.
 const NEAR_FEW: usize = 4;
-
-/// A threshold for groups that are opened to be divided: nothing is dropped but what is below the horizon.
-struct Undecided;
-
-impl Threshold for Undecided {
-    const ASKS_PLANES: bool = true;
-    const ASKS_BRIGHTNESS: bool = true;
-
-    #[inline(always)]
-    fn sin2_max(&self, _: &NodeSeen) -> f32 {
-        0.0
-    }
-}
 
 /// Nodes of a block, by distance; memory is reused.
 #[derive(Clone, Debug, Default)]
@@ -57,7 +42,7 @@ impl Division {
     #[expect(clippy::too_many_arguments, reason = "the state of one walk")]
     pub fn divide<S: Separation>(
         &mut self,
-        reader: &mut Reader<'_>,
+        nodes: &mut NodeReader<'_>,
         from: WalkFrom<'_>,
         middle: &CutReceiver,
         around: &Aabb,
@@ -69,12 +54,10 @@ impl Division {
         self.near.clear();
         self.stack.clear();
         let view = &middle.view;
-        let layout = reader.octree().layout();
         match from {
             WalkFrom::Root => {
-                let place = root_place(reader, stats)?;
-                let group = Group::open(reader, place, view, &Undecided, &layout, stats)?;
-                self.push_children(&group, 1, view);
+                let root = nodes.root(stats)?;
+                self.push_children(nodes.group(root), view, stats);
             }
             WalkFrom::Nodes(nodes, _) => {
                 let is_seen = |node: &&NodeRef| is_above(view, node);
@@ -82,6 +65,7 @@ impl Division {
             }
         }
         while let Some(node) = self.stack.pop() {
+            nodes.trim();
             let position = view.position;
             let (low, high) = (node.bounds.min - position, node.bounds.max - position);
             let seen = view.see(low, high, node.is_plane, node.brightness);
@@ -104,15 +88,11 @@ impl Division {
                 }
                 continue;
             }
-            let level = usize::from(node.level);
-            let Some(page) = pin_sound_page(reader, node.page, level - 1, stats)? else { continue };
-            let (view_page, group) =
-                view_group(reader, &page, node.page, node.offset, layout.channels)?;
-            let index = child_index(group.fields().octants, node.octant);
-            let (from, link) = ((&page, node.page, &view_page), group.link(index, false));
-            let Some(place) = follow_link(reader, from, link, level, stats)? else { continue };
-            let group = Group::open(reader, place, view, &Undecided, &layout, stats)?;
-            self.push_children(&group, level + 1, view);
+            let Some(group) = nodes.group_at(node.group, stats)? else { continue };
+            let index = nodes.group(group).index(node.octant);
+            if let Some(child) = nodes.child(group, index, stats)? {
+                self.push_children(nodes.group(child), view, stats);
+            }
         }
         Ok(())
     }
@@ -123,12 +103,17 @@ impl Division {
         self.near.len() <= NEAR_FEW && self.near.iter().all(|node| node.is_leaf)
     }
 
-    fn push_children(&mut self, group: &Group, level: usize, view: &Viewpoint) {
-        for octant in 0..CHILDREN_MAX as u8 {
-            if group.octants & !group.below & (1 << octant) != 0 {
-                self.stack.push(group.node(octant, level, view.position));
+    /// Puts what of a group is not below all horizons on the stack.
+    fn push_children(&mut self, group: &KnownGroup, view: &Viewpoint, stats: &mut CutStats) {
+        let before = self.stack.len();
+        for octant in (0..CHILDREN_MAX as u8).filter(|octant| group.octants >> octant & 1 != 0) {
+            let node = group.node(octant);
+            if is_above(view, &node) {
+                self.stack.push(node);
             }
         }
+        stats.nodes_visited += group.count() as u64;
+        stats.culled_horizon += (group.count() + before - self.stack.len()) as u64;
     }
 }
 

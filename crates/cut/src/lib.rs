@@ -6,6 +6,7 @@
 
 mod cluster;
 mod divide;
+mod known;
 mod leaf;
 mod metric;
 mod node;
@@ -15,10 +16,11 @@ mod walk;
 
 pub use cluster::{Cluster, Piece};
 pub use divide::{Division, Separation};
+pub use known::{CutSurfel, KNOWN_BYTES, NodeReader, SurfelShape};
 pub use metric::{NodeSeen, Threshold, UniformThreshold};
 pub use node::{NodeRef, Normals};
 pub use own_surface::OWN_SURFACE_COSINE;
 pub use stats::{CutStats, LEVELS, LevelStats};
 pub use walk::{
-    CutReceiver, CutScratch, CutVisitor, SurfelSeen, WalkFrom, mean_brightness, pick_cut,
+    CutReceiver, CutScratch, CutVisitor, SurfelSeen, WalkFrom, pick_cut,
 };

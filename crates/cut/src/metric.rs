@@ -4,11 +4,6 @@ use pbgi_math::Vec3;
 
 /// How large a node may be to be taken as one.
 pub trait Threshold {
-    /// Whether it asks for [`NodeSeen::is_plane`].
-    const ASKS_PLANES: bool;
-    /// Whether it asks for [`NodeSeen::brightness`].
-    const ASKS_BRIGHTNESS: bool;
-
     /// Largest `r²/d²` (squared sine of the half-angle) of the bounding sphere of a node that is taken as one, below 1.
     fn sin2_max(&self, node: &NodeSeen) -> f32;
 
@@ -52,9 +47,6 @@ impl UniformThreshold {
 }
 
 impl Threshold for UniformThreshold {
-    const ASKS_PLANES: bool = false;
-    const ASKS_BRIGHTNESS: bool = false;
-
     #[inline(always)]
     fn sin2_max(&self, _: &NodeSeen) -> f32 {
         self.sin2_max

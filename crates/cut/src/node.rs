@@ -1,10 +1,9 @@
 //! Nodes by their places in the file, and how they are seen from a place.
 
+use crate::known::KnownGroup;
 use crate::metric::{NodeSeen, Threshold};
 use crate::stats::{CutStats, LEVELS};
-use pbgi_format::{
-    CHILDREN_MAX, Channels, ChildLink, FormatError, GroupView, Lobe, NodePage, PageId, SurfelLayout,
-};
+use pbgi_format::{CHILDREN_MAX, Channels, FormatError, GroupView, NodePage, PageId};
 use pbgi_math::{Aabb, Vec3};
 use pbgi_store::{PageRef, Reader, StoreError};
 
@@ -13,19 +12,34 @@ use pbgi_store::{PageRef, Reader, StoreError};
 pub struct NodeRef {
     /// Box of its surfels, relative to the file's origin.
     pub bounds: Aabb,
-    /// The page of its group, and the group's first byte there.
-    pub(crate) page: PageId,
-    pub(crate) offset: u32,
+    /// Its group.
+    pub(crate) group: NodePlace,
     /// Which of its group's octants it is.
     pub(crate) octant: u8,
     pub(crate) is_leaf: bool,
     pub(crate) is_plane: bool,
-    /// Level of its group, the root's is 1.
-    pub(crate) level: u8,
     pub(crate) brightness: f32,
     /// How far covering disks reach out of the boxes of its group's children at most.
     pub(crate) cover_margin: f32,
     pub(crate) limits: Limits,
+}
+
+/// Where a group lies in the file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct NodePlace {
+    pub page: PageId,
+    /// Its first byte in the page.
+    pub offset: u32,
+    /// The root's is 1.
+    pub level: u8,
+}
+
+impl NodePlace {
+    /// The number of a child.
+    #[inline(always)]
+    pub fn seed(&self, octant: u8) -> u32 {
+        node_seed(self.page, self.offset, octant)
+    }
 }
 
 /// Which surfels of a leaf count, by their distance from the box of a block and from that of the block around it: of a leaf that is near and far at
@@ -94,28 +108,6 @@ impl Normals {
     }
 }
 
-/// A group of nodes, decoded as seen from a place.
-pub(crate) struct Group {
-    pub page: PageRef,
-    pub page_id: PageId,
-    pub offset: u32,
-    /// Octants with a child, and those whose child is a leaf.
-    pub octants: u8,
-    pub leaves: u8,
-    /// Children (bit = octant) below the horizon or not wanted, and those too large to be taken as one.
-    pub below: u8,
-    pub large: u8,
-    /// Octant order, front to back, is `step ^ flip`.
-    pub flip: u8,
-    pub cover_margin: f32,
-    /// Whether a child is one piece of a plane, by index.
-    planes: u8,
-    /// Boxes of the children, by index, and their brightness.
-    low: [[f32; CHILDREN_MAX]; 3],
-    high: [[f32; CHILDREN_MAX]; 3],
-    brightness: [f32; CHILDREN_MAX],
-}
-
 /// From where groups are looked at.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Viewpoint {
@@ -133,6 +125,38 @@ impl Viewpoint {
         let (low, high) = (low - self.reach.max, high - self.reach.min);
         let top = self.normals.top(low, high);
         if self.planes == self.normals { top } else { top.min(self.planes.top(low, high)) }
+    }
+
+    /// [`Self::top`] of eight boxes at a time, relative to the file's origin.
+    #[inline(always)]
+    pub fn tops(
+        &self,
+        low: &[[f32; CHILDREN_MAX]; 3],
+        high: &[[f32; CHILDREN_MAX]; 3],
+    ) -> [f32; CHILDREN_MAX] {
+        let over = |normals: &Normals| {
+            let mut tops = [0.0; CHILDREN_MAX];
+            for axis in 0..3 {
+                let (a, b) = (normals.low[axis], normals.high[axis]);
+                let to_low = self.position[axis] + self.reach.max[axis];
+                let to_high = self.position[axis] + self.reach.min[axis];
+                for lane in 0..CHILDREN_MAX {
+                    let (low, high) = (low[axis][lane] - to_low, high[axis][lane] - to_high);
+                    let of_a = larger(a * low, a * high);
+                    let of_b = larger(b * low, b * high);
+                    tops[lane] += larger(of_a, of_b);
+                }
+            }
+            tops
+        };
+        let mut tops = over(&self.normals);
+        if self.planes != self.normals {
+            let others = over(&self.planes);
+            for lane in 0..CHILDREN_MAX {
+                tops[lane] = -larger(-tops[lane], -others[lane]);
+            }
+        }
+        tops
     }
 
     /// A node as a threshold sees it.
@@ -174,105 +198,17 @@ pub(crate) fn view_group<'p>(
     group.map_err(|error| reader.invalid_page(page_id, error))
 }
 
-impl Group {
-    /// Decodes a group's children and tests them all against horizon and threshold.
-    #[inline(always)]
-    pub fn open<T: Threshold>(
-        reader: &Reader<'_>,
-        (page, page_id, offset): GroupPlace,
-        viewpoint: &Viewpoint,
-        threshold: &T,
-        layout: &SurfelLayout,
-        stats: &mut CutStats,
-    ) -> Result<Self, StoreError> {
-        let (_, view) = view_group(reader, &page, page_id, offset, layout.channels)?;
-        let fields = view.fields();
-        let step = fields.bounds.extent() * (1.0 / 255.0);
-        let base = fields.bounds.min - viewpoint.position;
-        let corners = view.corners();
-        let mut low = [[0.0; CHILDREN_MAX]; 3];
-        let mut high = [[0.0; CHILDREN_MAX]; 3];
-        for axis in 0..3 {
-            for lane in 0..CHILDREN_MAX {
-                low[axis][lane] = base[axis] + step[axis] * f32::from(corners[axis][lane]);
-                high[axis][lane] = base[axis] + step[axis] * f32::from(corners[axis + 3][lane]);
-            }
-        }
-        let (mut planes, mut brightness) = (0u8, [0f32; CHILDREN_MAX]);
-        let stride = Lobe::stored_bytes(layout.channels);
-        let asks_brightness = T::ASKS_BRIGHTNESS && layout.channels == Channels::Rgb;
-        if T::ASKS_PLANES || asks_brightness {
-            for index in 0..view.child_count() {
-                let lobes = view.lobe_bytes(index, layout.channels);
-                planes |= u8::from(lobes.len() == stride && Lobe::is_filled_plane(lobes)) << index;
-                if asks_brightness {
-                    for lobe in lobes.chunks_exact(stride) {
-                        brightness[index] = brightness[index].max(Lobe::stored_brightness(lobe));
-                    }
-                    brightness[index] *= layout.radiance_scale;
-                }
-            }
-        }
-        let side = viewpoint.position.cmpgt(fields.split);
-        let (octants, leaves, cover_margin) = (fields.octants, fields.leaves, fields.cover_margin);
-        let (children, flip) = (view.child_count(), side.bitmask() as u8);
-        let mut group = Self {
-            page,
-            page_id,
-            offset,
-            octants,
-            leaves,
-            below: 0,
-            large: 0,
-            flip,
-            cover_margin,
-            planes,
-            low,
-            high,
-            brightness,
-        };
-        let mut rest = octants;
-        for index in 0..children {
-            let bit = rest & rest.wrapping_neg();
-            rest &= rest - 1;
-            let (low, high) = group.bounds(index);
-            let seen = viewpoint.see(low, high, planes >> index & 1 != 0, brightness[index]);
-            let (is_dropped, is_large) = judge(&seen, threshold);
-            group.below |= if is_dropped { bit } else { 0 };
-            group.large |= if is_large { bit } else { 0 };
-        }
-        stats.nodes_visited += children as u64;
-        stats.culled_horizon += u64::from(group.below.count_ones());
-        Ok(group)
-    }
-
-    /// Index of the child of an octant.
-    #[inline(always)]
-    pub fn index(&self, octant: u8) -> usize {
-        child_index(self.octants, octant)
-    }
-
-    /// Box of a child, relative to the viewpoint.
-    #[inline(always)]
-    pub fn bounds(&self, index: usize) -> (Vec3, Vec3) {
-        let corner =
-            |of: &[[f32; CHILDREN_MAX]; 3]| Vec3::new(of[0][index], of[1][index], of[2][index]);
-        (corner(&self.low), corner(&self.high))
-    }
-
+impl KnownGroup {
     /// A child that is not below the horizon, to walk from later.
     #[inline(always)]
-    pub fn node(&self, octant: u8, level: usize, position: Vec3) -> NodeRef {
+    pub fn node(&self, octant: u8) -> NodeRef {
         let index = self.index(octant);
-        let (low, high) = self.bounds(index);
         NodeRef {
-            bounds: Aabb { min: low + position, max: high + position },
-            page: self.page_id,
-            offset: self.offset,
+            bounds: self.bounds(index),
+            group: self.place,
             octant,
             is_leaf: self.leaves >> octant & 1 != 0,
             is_plane: self.planes >> index & 1 != 0,
-            level: level.min(LEVELS) as u8,
             brightness: self.brightness[index],
             cover_margin: self.cover_margin,
             limits: Limits::NONE,
@@ -280,44 +216,10 @@ impl Group {
     }
 }
 
-/// Index of an octant's child in its group.
+/// The larger of two numbers, in one instruction: neither is none.
 #[inline(always)]
-pub(crate) fn child_index(octants: u8, octant: u8) -> usize {
-    (octants & ((1 << octant) - 1)).count_ones() as usize
-}
-
-/// A group's page, pinned, its number, and the group's first byte in it.
-pub(crate) type GroupPlace = (PageRef, PageId, u32);
-
-/// The group that `link` leads to, from a group of this level in the page `from`; none behind the link of a leaf, and where the page is damaged and left
-/// out.
-#[inline(always)]
-pub(crate) fn follow_link(
-    reader: &mut Reader<'_>,
-    from: (&PageRef, PageId, &NodePage<'_>),
-    link: ChildLink,
-    level: usize,
-    stats: &mut CutStats,
-) -> Result<Option<GroupPlace>, StoreError> {
-    let (page, page_id, view) = from;
-    let place = match link {
-        ChildLink::Leaf { .. } => return Ok(None),
-        ChildLink::Group(offset) => (page.clone(), page_id, offset),
-        ChildLink::External(link) => {
-            let Some(link) = view.external_link(link) else {
-                return Err(reader.invalid_page(page_id, bad_link("link: index", link)));
-            };
-            let Some(page) = pin_sound_page(reader, link.page, level, stats)? else {
-                return Ok(None);
-            };
-            (page, link.page, link.offset)
-        }
-    };
-    let depth = reader.octree().header().depth;
-    if level >= depth as usize {
-        return Err(reader.invalid_page(place.1, bad_link("tree: depth", depth)));
-    }
-    Ok(Some(place))
+fn larger(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
 }
 
 /// A number that tells nodes apart.

@@ -1,7 +1,7 @@
 //! What of the surfels next to a receiver is its own surface, which it does not see.
 
+use crate::known::{CutSurfel, SurfelShape};
 use crate::walk::CutReceiver;
-use pbgi_format::LeafSurfel;
 use pbgi_math::Vec3;
 
 /// Share of its radius by which a rectangle or triangle must rise above the plane of the receiver's surface to hide anything, where it looks the
@@ -20,35 +20,40 @@ const FOLD_COSINE: f32 = 0.5;
 /// Share of its radius by which a disk that faces the receiver must rise above its plane.
 const FACING_BIAS: f32 = 0.05;
 
-/// How far a surfel reaches over its center along a unit vector.
+/// How far a surfel reaches over its center along a unit vector; no farther than its radius.
 #[inline(always)]
-fn reach_along(surfel: &LeafSurfel, direction: Vec3) -> f32 {
+fn reach_along(surfel: &CutSurfel, direction: Vec3) -> f32 {
     if surfel.isotropic {
         return surfel.radius;
     }
-    if surfel.is_triangle() {
-        let [a, b, c] = surfel.corners();
-        return a.dot(direction).max(b.dot(direction)).max(c.dot(direction));
+    match &surfel.shape {
+        SurfelShape::Triangle { corners: [a, b, c] } => {
+            a.dot(direction).max(b.dot(direction)).max(c.dot(direction))
+        }
+        SurfelShape::Rectangle { edges: [u, v], half: [a, b] } => {
+            a * u.dot(direction).abs() + b * v.dot(direction).abs()
+        }
+        SurfelShape::Disk => {
+            // r sin(angle between the normals).
+            let tilt = surfel.normal.dot(direction);
+            surfel.radius * (1.0 - tilt * tilt).max(0.0).sqrt()
+        }
     }
-    if surfel.is_rectangle() {
-        let [u, v] = surfel.tile.edges(surfel.normal);
-        let [a, b] = surfel.half_edges();
-        return a * u.dot(direction).abs() + b * v.dot(direction).abs();
-    }
-    // Of a disk: r sin(angle between the normals).
-    let tilt = surfel.normal.dot(direction);
-    surfel.radius * (1.0 - tilt * tilt).max(0.0).sqrt()
 }
 
-/// Whether a surfel, relative to the receiver, is below the horizon or belongs to the surface the receiver lies on.
+/// Whether a surfel, with its center relative to the receiver, is below the horizon or belongs to the surface the receiver lies on.
 ///
 /// A rectangle or triangle is where it is: it is seen if any of it rises above the plane of the receiver's surface, which is that of its geometric
 /// normal, by more than codes are off by, and above the horizon of its shading normal. Disks reach over what they stand for, and keep a distance.
 #[inline(always)]
-pub(crate) fn is_own_surface(surfel: &LeafSurfel, receiver: &CutReceiver) -> bool {
+pub(crate) fn is_own_surface(surfel: &CutSurfel, center: Vec3, receiver: &CutReceiver) -> bool {
     let plane = receiver.plane;
-    let height = surfel.center.dot(plane);
-    if surfel.tile.is_known() {
+    let height = center.dot(plane);
+    // Most are well above.
+    if height > surfel.radius && height > receiver.surfel_bias * surfel.radius {
+        return false;
+    }
+    if surfel.shape != SurfelShape::Disk {
         let is_alike = surfel.normal.dot(plane) > 0.0;
         let share = if is_alike { ALIKE_BIAS } else { OUTLINE_BIAS };
         let bound = share * surfel.radius;
@@ -66,7 +71,7 @@ pub(crate) fn is_own_surface(surfel: &LeafSurfel, receiver: &CutReceiver) -> boo
     // Disks reach over the edges of their surface. Where one of a solid thing is seen from behind and has
     // its middle below the tangent plane, the receiver's own surface lies before it.
     // Where one of a sheet's other side is seen from its front, a fold of the receiver's own sheet does.
-    let depth = surfel.center.dot(surfel.normal);
+    let depth = center.dot(surfel.normal);
     let is_fold = surfel.front_only && tilt < -FOLD_COSINE;
     let is_behind = !surfel.front_only && depth > 0.0;
     height <= 0.0 && !surfel.isotropic && (is_fold || is_behind)

@@ -1,16 +1,14 @@
 //! The walk: depth first, children front to back.
 
 use crate::cluster::Cluster;
-use crate::leaf::{Leaf, take_leaf};
+use crate::known::{CutSurfel, GroupIndex, NodeReader};
+use crate::leaf::take_leaf;
 use crate::metric::Threshold;
-use crate::node::{
-    Group, GroupPlace, Limits, NodeRef, Normals, Viewpoint, child_index, follow_link, judge,
-    node_seed, pin_sound_page, view_group,
-};
+use crate::node::{Limits, NodePlace, NodeRef, Normals, Viewpoint, judge};
 use crate::stats::CutStats;
-use pbgi_format::{CHILDREN_MAX, Channels, ChildLink, LeafSurfel, Lobe, PageId};
+use pbgi_format::CHILDREN_MAX;
 use pbgi_math::{Aabb, Vec3};
-use pbgi_store::{PageRef, Reader, StoreError};
+use pbgi_store::StoreError;
 
 /// The place a cut is picked for.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -69,11 +67,13 @@ impl CutReceiver {
     }
 }
 
-/// A surfel of the cut, relative to the receiver.
+/// A surfel of the cut.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SurfelSeen {
-    /// The surfel; its center is relative to the receiver.
-    pub surfel: LeafSurfel,
+pub struct SurfelSeen<'s> {
+    /// The surfel.
+    pub surfel: &'s CutSurfel,
+    /// Its center, relative to the receiver.
+    pub center: Vec3,
     /// Tells surfels apart.
     pub seed: u32,
     /// Squared distance of its center.
@@ -87,7 +87,9 @@ pub trait CutVisitor {
     /// Takes a node as one, just after `is_open` was asked about its box.
     fn take_cluster(&mut self, cluster: &Cluster);
     /// Takes a surfel.
-    fn take_surfel(&mut self, surfel: &SurfelSeen);
+    fn take_surfel(&mut self, surfel: &SurfelSeen<'_>);
+    /// Whether it makes a difference which of a leaf's surfels comes first.
+    fn minds_order(&self) -> bool;
 }
 
 /// How far near disks reach out of the box of their node at most, as a share of the box's largest edge.
@@ -95,17 +97,21 @@ const OVERHANG: f32 = 0.125;
 
 /// A group on the way from where the walk began to where it is.
 struct Frame {
-    group: Group,
+    place: NodePlace,
+    group: GroupIndex,
     step: u8,
-    /// Its level, the root's is 1.
-    level: usize,
+    /// Octants with a child that is looked at, and those whose child is too large to be taken as one.
+    wanted: u8,
+    large: u8,
+    /// Octant order, front to back, is `step ^ flip`.
+    flip: u8,
 }
 
 /// Memory of a walk, reused from receiver to receiver.
 #[derive(Default)]
 pub struct CutScratch {
     frames: Vec<Frame>,
-    order: Vec<(f32, u32)>,
+    order: Vec<u64>,
     nodes: Vec<(f32, u32)>,
 }
 
@@ -132,7 +138,7 @@ pub enum WalkFrom<'n> {
 /// If a page cannot be read or contradicts itself.
 #[inline(always)]
 pub fn pick_cut<V: CutVisitor, T: Threshold>(
-    reader: &mut Reader<'_>,
+    nodes: &mut NodeReader<'_>,
     from: WalkFrom<'_>,
     receiver: &CutReceiver,
     threshold: &T,
@@ -140,46 +146,16 @@ pub fn pick_cut<V: CutVisitor, T: Threshold>(
     scratch: &mut CutScratch,
     stats: &mut CutStats,
 ) -> Result<(), StoreError> {
-    scratch.frames.clear();
-    let (nodes, boxes) = match from {
+    let mut walk = Walk { nodes, receiver, threshold, visitor, scratch, stats };
+    walk.scratch.frames.clear();
+    match from {
         WalkFrom::Root => {
-            let place = root_place(reader, stats)?;
-            let layout = reader.octree().layout();
-            let group = Group::open(reader, place, &receiver.view, threshold, &layout, stats)?;
-            scratch.frames.push(Frame { group, step: 0, level: 1 });
-            return walk(reader, receiver, threshold, visitor, scratch, stats);
+            let root = walk.nodes.root(walk.stats)?;
+            walk.enter(root);
+            walk.go()
         }
-        WalkFrom::Nodes(nodes, boxes) => (nodes, boxes),
-    };
-    // What is dropped is dropped before its page is asked for.
-    let position = receiver.view.position;
-    let mut order = std::mem::take(&mut scratch.nodes);
-    order.clear();
-    for (index, node) in nodes.iter().enumerate() {
-        let (low, high) = (node.bounds.min - position, node.bounds.max - position);
-        if receiver.view.top(low, high) > 0.0 {
-            order.push((nearness(low, high), index as u32));
-        }
+        WalkFrom::Nodes(nodes, boxes) => walk.go_from(nodes, boxes),
     }
-    stats.culled_horizon += (nodes.len() - order.len()) as u64;
-    order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    let mut walked = Ok(());
-    for &(_, index) in &order {
-        walked = walk_node(
-            reader,
-            (&nodes[index as usize], boxes),
-            receiver,
-            threshold,
-            visitor,
-            scratch,
-            stats,
-        );
-        if walked.is_err() {
-            break;
-        }
-    }
-    scratch.nodes = order;
-    walked
 }
 
 /// What nodes are ordered by, nearest first: the distance of the nearest point of their box, and a little of that of its middle.
@@ -187,107 +163,6 @@ pub fn pick_cut<V: CutVisitor, T: Threshold>(
 fn nearness(low: Vec3, high: Vec3) -> f32 {
     let nearest = low.max(-high).max(Vec3::ZERO).length();
     nearest + 0.25 * ((low + high) * 0.5).length()
-}
-
-/// Page, number and offset of the root's group.
-#[inline(always)]
-pub(crate) fn root_place(
-    reader: &mut Reader<'_>,
-    stats: &mut CutStats,
-) -> Result<GroupPlace, StoreError> {
-    let header = *reader.octree().header();
-    let before = reader.stats();
-    let page = reader.pin_page(header.root_page)?;
-    stats.levels[0].note(&before, &reader.stats());
-    Ok((page, header.root_page, header.root_offset))
-}
-
-/// Walks from one node on.
-#[inline(always)]
-fn walk_node<V: CutVisitor, T: Threshold>(
-    reader: &mut Reader<'_>,
-    (node, boxes): (&NodeRef, [&Aabb; 2]),
-    receiver: &CutReceiver,
-    threshold: &T,
-    visitor: &mut V,
-    scratch: &mut CutScratch,
-    stats: &mut CutStats,
-) -> Result<(), StoreError> {
-    let position = receiver.view.position;
-    let (low, high) = (node.bounds.min - position, node.bounds.max - position);
-    let seen = receiver.view.see(low, high, node.is_plane, node.brightness);
-    let (is_dropped, is_large) = judge(&seen, threshold);
-    stats.nodes_visited += 1;
-    if is_dropped {
-        return Ok(());
-    }
-    let margin = outer_margin(is_large, node.cover_margin, low, high);
-    if !visitor.is_open(low - margin, high + margin) {
-        stats.culled_opaque += 1;
-        return Ok(());
-    }
-    let level = usize::from(node.level);
-    let Some(page) = pin_sound_page(reader, node.page, level - 1, stats)? else { return Ok(()) };
-    let child = Child {
-        page: &page,
-        page_id: node.page,
-        offset: node.offset,
-        octant: node.octant,
-        is_leaf: node.is_leaf,
-        is_large,
-        low,
-        high,
-        level,
-        limits: (node.limits != Limits::NONE).then_some((&node.limits, boxes)),
-    };
-    take_child(reader, &child, margin, receiver, threshold, visitor, scratch, stats)?;
-    walk(reader, receiver, threshold, visitor, scratch, stats)
-}
-
-/// Walks until all groups on the way are done.
-#[inline(always)]
-fn walk<V: CutVisitor, T: Threshold>(
-    reader: &mut Reader<'_>,
-    receiver: &CutReceiver,
-    threshold: &T,
-    visitor: &mut V,
-    scratch: &mut CutScratch,
-    stats: &mut CutStats,
-) -> Result<(), StoreError> {
-    while let Some(frame) = scratch.frames.last_mut() {
-        if frame.step == CHILDREN_MAX as u8 {
-            scratch.frames.pop();
-            continue;
-        }
-        let octant = frame.step ^ frame.group.flip;
-        frame.step += 1;
-        let bit = 1u8 << octant;
-        if frame.group.octants & !frame.group.below & bit == 0 {
-            continue;
-        }
-        let group = &frame.group;
-        let (low, high) = group.bounds(group.index(octant));
-        let margin = outer_margin(group.large & bit != 0, group.cover_margin, low, high);
-        if !visitor.is_open(low - margin, high + margin) {
-            stats.culled_opaque += 1;
-            continue;
-        }
-        let page = group.page.clone();
-        let child = Child {
-            page: &page,
-            page_id: group.page_id,
-            offset: group.offset,
-            octant,
-            is_leaf: group.leaves & bit != 0,
-            is_large: group.large & bit != 0,
-            low,
-            high,
-            level: frame.level,
-            limits: None,
-        };
-        take_child(reader, &child, margin, receiver, threshold, visitor, scratch, stats)?;
-    }
-    Ok(())
 }
 
 /// How far what is in a node's box reaches out of it: disks by an eighth of a box's edge, needles farther but transparent; the group's margin may
@@ -298,88 +173,144 @@ fn outer_margin(is_large: bool, cover_margin: f32, low: Vec3, high: Vec3) -> f32
     if is_large { cover_margin.min(OVERHANG * edge) } else { Cluster::REACH * edge }
 }
 
-/// A node that is not below the horizon.
-struct Child<'p> {
-    page: &'p PageRef,
-    page_id: PageId,
-    offset: u32,
+/// The state of a walk.
+struct Walk<'w, 'a, V, T> {
+    nodes: &'w mut NodeReader<'a>,
+    receiver: &'w CutReceiver,
+    threshold: &'w T,
+    visitor: &'w mut V,
+    scratch: &'w mut CutScratch,
+    stats: &'w mut CutStats,
+}
+
+/// A child of a group that is not below the horizon.
+struct Child<'n> {
+    group: GroupIndex,
+    place: NodePlace,
     octant: u8,
-    is_leaf: bool,
     is_large: bool,
+    /// Its box, relative to the receiver, and how far what is in it reaches out.
     low: Vec3,
     high: Vec3,
-    level: usize,
-    /// Which of its surfels count, if not all.
-    limits: Option<(&'p Limits, [&'p Aabb; 2])>,
-}
-
-/// Takes a node as one, or the surfels of a leaf, or goes on with its children.
-#[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "the state of one walk")]
-fn take_child<V: CutVisitor, T: Threshold>(
-    reader: &mut Reader<'_>,
-    child: &Child<'_>,
     margin: f32,
-    receiver: &CutReceiver,
-    threshold: &T,
-    visitor: &mut V,
-    scratch: &mut CutScratch,
-    stats: &mut CutStats,
-) -> Result<(), StoreError> {
-    let layout = reader.octree().layout();
-    let &Child { page, page_id, offset, octant, low, high, level, .. } = child;
-    let (view, group) = view_group(reader, page, page_id, offset, layout.channels)?;
-    let index = child_index(group.fields().octants, octant);
-    if !child.is_large {
-        let lobes = (group.lobe_bytes(index, layout.channels), &group.stencils(index));
-        let seed = node_seed(page_id, offset, octant);
-        visitor.take_cluster(&Cluster::from_lobes(low, high, margin, lobes, seed, &layout));
-        stats.clusters += 1;
-        return Ok(());
-    }
-    let link = group.link(index, child.is_leaf);
-    if let ChildLink::Leaf { offset, count } = link {
-        let leaf = Leaf {
-            page: view.fields().surfel_page,
-            place: (offset, count),
-            frame: group.leaf_frame(index),
-            owner: page_id,
-            level,
-            limits: child.limits,
-        };
-        let order = &mut scratch.order;
-        return take_leaf(reader, &leaf, receiver, visitor, order, &layout, stats);
-    }
-    let Some(place) = follow_link(reader, (page, page_id, &view), link, level, stats)? else {
-        return Ok(());
-    };
-    let group = Group::open(reader, place, &receiver.view, threshold, &layout, stats)?;
-    scratch.frames.push(Frame { group, step: 0, level: level + 1 });
-    Ok(())
+    /// Which of its surfels count, if not all.
+    limits: Option<(&'n Limits, [&'n Aabb; 2])>,
 }
 
-/// Mean radiance of all surfaces of a file, of the brightest channel, weighted by area; W·m⁻²·sr⁻¹. 0 for files without light.
-///
-/// # Errors
-///
-/// If the root's page cannot be read or contradicts itself.
-pub fn mean_brightness(reader: &mut Reader<'_>) -> Result<f32, StoreError> {
-    let (header, layout) = (*reader.octree().header(), reader.octree().layout());
-    if layout.channels != Channels::Rgb {
-        return Ok(0.0);
+impl<V: CutVisitor, T: Threshold> Walk<'_, '_, V, T> {
+    /// Goes on with the children of a group.
+    #[inline(always)]
+    fn enter(&mut self, at: GroupIndex) {
+        let group = self.nodes.group(at);
+        let view = &self.receiver.view;
+        let seen = group.see(view, self.threshold, self.stats);
+        let flip = view.position.cmpgt(group.split).bitmask() as u8;
+        let (place, wanted) = (group.place, group.octants & !seen.below);
+        let frame = Frame { place, group: at, step: 0, wanted, large: seen.large, flip };
+        self.scratch.frames.push(frame);
     }
-    let page = reader.pin_page(header.root_page)?;
-    let (id, root) = (header.root_page, header.root_offset);
-    let (_, group) = view_group(reader, &page, id, root, layout.channels)?;
-    let (mut light, mut area) = (0.0, 0.0);
-    for index in 0..group.child_count() {
-        let lobes = group.lobe_bytes(index, layout.channels);
-        for stored in lobes.chunks_exact(Lobe::stored_bytes(layout.channels)) {
-            let lobe = Lobe::read(stored, layout.channels, layout.area, layout.radiance_scale);
-            let size = lobe.vector.length() + lobe.width;
-            light += size * lobe.radiance.into_iter().fold(0.0, f32::max);
-            area += size;
+
+    /// Walks until all groups on the way are done.
+    #[inline(always)]
+    fn go(&mut self) -> Result<(), StoreError> {
+        let position = self.receiver.view.position;
+        loop {
+            self.nodes.trim();
+            let Some(frame) = self.scratch.frames.last_mut() else { return Ok(()) };
+            if frame.step == CHILDREN_MAX as u8 {
+                self.scratch.frames.pop();
+                continue;
+            }
+            let octant = frame.step ^ frame.flip;
+            frame.step += 1;
+            let bit = 1u8 << octant;
+            if frame.wanted & bit == 0 {
+                continue;
+            }
+            if !self.nodes.refresh(&mut frame.group, frame.place, self.stats)? {
+                // Its page has become unreadable since.
+                self.scratch.frames.pop();
+                continue;
+            }
+            let (group, place, is_large) = (frame.group, frame.place, frame.large & bit != 0);
+            let known = self.nodes.group(group);
+            let bounds = known.bounds(known.index(octant));
+            let (low, high) = (bounds.min - position, bounds.max - position);
+            let margin = outer_margin(is_large, known.cover_margin, low, high);
+            if !self.visitor.is_open(low - margin, high + margin) {
+                self.stats.culled_opaque += 1;
+                continue;
+            }
+            self.take(&Child { group, place, octant, is_large, low, high, margin, limits: None })?;
         }
     }
-    Ok(if area > 0.0 { light / area } else { 0.0 })
+
+    /// Walks from nodes on, the nearest first.
+    #[inline(always)]
+    fn go_from(&mut self, nodes: &[NodeRef], boxes: [&Aabb; 2]) -> Result<(), StoreError> {
+        // What is dropped is dropped before its page is asked for.
+        let view = &self.receiver.view;
+        let mut order = std::mem::take(&mut self.scratch.nodes);
+        order.clear();
+        for (index, node) in nodes.iter().enumerate() {
+            let (low, high) = (node.bounds.min - view.position, node.bounds.max - view.position);
+            if view.top(low, high) > 0.0 {
+                order.push((nearness(low, high), index as u32));
+            }
+        }
+        self.stats.culled_horizon += (nodes.len() - order.len()) as u64;
+        order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let walked = order.iter().try_for_each(|(_, index)| {
+            self.go_from_node(&nodes[*index as usize], boxes)
+        });
+        self.scratch.nodes = order;
+        walked
+    }
+
+    /// Walks from one node on.
+    #[inline(always)]
+    fn go_from_node(&mut self, node: &NodeRef, boxes: [&Aabb; 2]) -> Result<(), StoreError> {
+        let view = &self.receiver.view;
+        let (low, high) = (node.bounds.min - view.position, node.bounds.max - view.position);
+        let seen = view.see(low, high, node.is_plane, node.brightness);
+        let (is_dropped, is_large) = judge(&seen, self.threshold);
+        self.stats.nodes_visited += 1;
+        if is_dropped {
+            return Ok(());
+        }
+        let margin = outer_margin(is_large, node.cover_margin, low, high);
+        if !self.visitor.is_open(low - margin, high + margin) {
+            self.stats.culled_opaque += 1;
+            return Ok(());
+        }
+        let (place, octant) = (node.group, node.octant);
+        let Some(group) = self.nodes.group_at(place, self.stats)? else { return Ok(()) };
+        let limits = (node.limits != Limits::NONE).then_some((&node.limits, boxes));
+        self.take(&Child { group, place, octant, is_large, low, high, margin, limits })?;
+        self.go()
+    }
+
+    /// Takes a node as one, or the surfels of a leaf, or goes on with its children.
+    #[inline(always)]
+    fn take(&mut self, child: &Child<'_>) -> Result<(), StoreError> {
+        let &Child { group, place, octant, low, high, margin, limits, .. } = child;
+        let known = self.nodes.group(group);
+        let (index, is_leaf) = (known.index(octant), known.leaves >> octant & 1 != 0);
+        if !child.is_large {
+            let position = self.receiver.view.position;
+            let lobes = self.nodes.lobes(group, index, self.stats)?;
+            let seed = place.seed(octant);
+            let cluster = Cluster::from_lobes(low, high, margin, lobes, seed, position);
+            self.visitor.take_cluster(&cluster);
+            self.stats.clusters += 1;
+        } else if is_leaf {
+            if let Some(leaf) = self.nodes.leaf(group, index, self.stats)? {
+                let Self { nodes, receiver, visitor, scratch, stats, .. } = self;
+                take_leaf(nodes, leaf, limits, receiver, *visitor, &mut scratch.order, stats);
+            }
+        } else if let Some(child) = self.nodes.child(group, index, self.stats)? {
+            self.enter(child);
+        }
+        Ok(())
+    }
 }

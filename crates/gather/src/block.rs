@@ -306,9 +306,9 @@ impl Gatherer<'_> {
         let stakes = self.stakes()?;
         let separation = ParallaxSeparation { distance, stakes, lamps: &self.lamps };
         let overlap = OVERLAP * extent;
-        let (reader, stats) = (&mut self.walker.reader, &mut self.walker.stats);
+        let (nodes, stats) = (&mut self.walker.nodes, &mut self.walker.stats);
         let division = &mut state.division;
-        division.divide(reader, outer.from(), &at_middle, &around, overlap, &separation, stats)?;
+        division.divide(nodes, outer.from(), &at_middle, &around, overlap, &separation, stats)?;
         state.place_box = Some(*place_box);
         if division.far.is_empty() {
             return Ok(());

@@ -202,9 +202,6 @@ pub(crate) struct CubeThreshold<'a> {
 }
 
 impl Threshold for CubeThreshold<'_> {
-    const ASKS_PLANES: bool = true;
-    const ASKS_BRIGHTNESS: bool = true;
-
     #[inline(always)]
     fn sin2_max(&self, node: &NodeSeen) -> f32 {
         let mut factor = self.stakes.factor(node, self.lamps.behind(node));
@@ -269,9 +266,6 @@ pub(crate) struct LobeThreshold<'a> {
 }
 
 impl Threshold for LobeThreshold<'_> {
-    const ASKS_PLANES: bool = true;
-    const ASKS_BRIGHTNESS: bool = true;
-
     /// A node may have the share of the lobe that the user's solid angle has of a hemisphere: its importance is inversely proportional to the solid
     /// angle that this share has where the node comes nearest to the mirror direction.
     #[inline(always)]

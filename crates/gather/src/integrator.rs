@@ -9,8 +9,8 @@ use crate::reflect::{LobeScratch, LobeVisitor};
 use crate::visitors::{CubeVisitor, WindowVisitor};
 use pbgi_brdf::{ConvolutionTable, GgxLobe, convolve_diffuse};
 use pbgi_cut::{
-    CutReceiver, CutScratch, CutStats, CutVisitor, Threshold, UniformThreshold, WalkFrom,
-    mean_brightness, pick_cut,
+    CutReceiver, CutScratch, CutStats, CutVisitor, KNOWN_BYTES, Threshold, UniformThreshold, WalkFrom,
+    NodeReader, pick_cut,
 };
 use pbgi_math::{Vec3, sphere_sin2_for_solid_angle};
 use pbgi_raster::{
@@ -50,6 +50,8 @@ pub struct GatherSettings {
     /// Extent of a block of receivers, over the distance of what is drawn once for all of them: by so much, in radians, directions differ over
     /// it. 0 draws all for each.
     pub parallax: f32,
+    /// Bytes of decoded nodes to keep for the receivers that come next; results do not depend on it.
+    pub node_bytes: usize,
     /// Which light is looked for; what is not is 0.
     pub parts: GatherParts,
     /// Unit direction of the sky, for `sky_visibility`.
@@ -79,6 +81,7 @@ impl Default for GatherSettings {
             lobe_level: 3,
             bias: 0.4,
             parallax: 0.0,
+            node_bytes: KNOWN_BYTES,
             parts: GatherParts::All,
             up: Vec3::Y,
             simd: SimdLevel::detect(),
@@ -116,7 +119,11 @@ impl<'a> Gatherer<'a> {
         let table = CubeRasterTable::new(settings.raster_edge);
         let shines = reader.octree().header().channels.count() > 0;
         Self {
-            walker: Walker { reader, scratch: CutScratch::default(), stats: CutStats::default() },
+            walker: Walker {
+                nodes: NodeReader::new(reader, settings.node_bytes),
+                scratch: CutScratch::default(),
+                stats: CutStats::default(),
+            },
             settings: *settings,
             light,
             raster: CubeRaster::new(&table, shines),
@@ -252,7 +259,7 @@ impl<'a> Gatherer<'a> {
             return Ok(known);
         }
         let sky = self.light.map(|light| &light.pyramid);
-        let surfaces = mean_brightness(&mut self.walker.reader)?;
+        let surfaces = self.walker.nodes.mean_brightness()?;
         let stakes = Stakes::new(self.settings.importance, surfaces, sky);
         self.stakes = Some(stakes);
         Ok(stakes)
@@ -291,7 +298,7 @@ fn uniform(solid_angle_sr: f32) -> UniformThreshold {
 
 /// Picks cuts of one octree, one after the other.
 pub(crate) struct Walker<'a> {
-    pub reader: Reader<'a>,
+    pub nodes: NodeReader<'a>,
     scratch: CutScratch,
     pub stats: CutStats,
 }
@@ -305,8 +312,8 @@ impl Walker<'_> {
         threshold: &T,
         visitor: &mut V,
     ) -> Result<(), StoreError> {
-        let Self { reader, scratch, stats } = self;
-        pick_cut(reader, from, receiver, threshold, visitor, scratch, stats)
+        let Self { nodes, scratch, stats } = self;
+        pick_cut(nodes, from, receiver, threshold, visitor, scratch, stats)
     }
 
     /// The same for a walk whose nodes are none of the cut; its requests for pages count.

@@ -144,9 +144,6 @@ impl LampThreshold {
 }
 
 impl Threshold for LampThreshold {
-    const ASKS_PLANES: bool = false;
-    const ASKS_BRIGHTNESS: bool = true;
-
     #[inline(always)]
     fn sin2_max(&self, _: &NodeSeen) -> f32 {
         self.sin2_max
@@ -181,14 +178,19 @@ impl CutVisitor for LampVisitor<'_> {
     }
 
     #[inline(always)]
-    fn take_surfel(&mut self, seen: &SurfelSeen) {
-        let surfel = &seen.surfel;
+    fn take_surfel(&mut self, seen: &SurfelSeen<'_>) {
+        let surfel = seen.surfel;
         let brightness = largest(surfel.radiance);
-        let is_seen = surfel.isotropic || surfel.normal.dot(surfel.center) < 0.0;
+        let is_seen = surfel.isotropic || surfel.normal.dot(seen.center) < 0.0;
         if brightness >= self.lamps.least && is_seen {
             let solid_angle = surfel_solid_angle(seen);
-            self.lamps.add(surfel.center, brightness * solid_angle);
+            self.lamps.add(seen.center, brightness * solid_angle);
         }
+    }
+
+    #[inline(always)]
+    fn minds_order(&self) -> bool {
+        false
     }
 }
 

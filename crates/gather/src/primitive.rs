@@ -1,7 +1,6 @@
 //! Surfels and pieces of clusters as shapes that rasters draw.
 
-use pbgi_cut::{Cluster, OWN_SURFACE_COSINE, Piece, SurfelSeen};
-use pbgi_format::LeafSurfel;
+use pbgi_cut::{Cluster, CutSurfel, OWN_SURFACE_COSINE, Piece, SurfelSeen, SurfelShape};
 use pbgi_math::{Aabb, Vec3, patch_solid_angle_factor};
 use pbgi_raster::{Disk, Ink, Section, Shape, Tile, Triangle, Veil};
 use std::f32::consts::FRAC_1_PI;
@@ -17,9 +16,9 @@ const OTHER_SURFACE_HEIGHT: f32 = 0.25;
 
 /// Least distance at which a disk is hit, so that a surface does not shadow itself.
 #[inline(always)]
-fn least_distance(surfel: &LeafSurfel, normal: Vec3) -> f32 {
+fn least_distance(surfel: &CutSurfel, center: Vec3, normal: Vec3) -> f32 {
     let is_alike = !surfel.isotropic && surfel.normal.dot(normal) > OWN_SURFACE_COSINE;
-    let (height, depth) = (normal.dot(surfel.center), surfel.normal.dot(surfel.center));
+    let (height, depth) = (normal.dot(center), surfel.normal.dot(center));
     let is_other = height.min(depth) > OTHER_SURFACE_HEIGHT * surfel.radius;
     if is_alike && !is_other { OWN_SURFACE_RADII * surfel.radius } else { 0.0 }
 }
@@ -66,14 +65,14 @@ fn piece_tolerance(cluster: &Cluster, piece: &Piece) -> f32 {
 
 /// Area that a surfel shows along its normal; an isotropic one half of its own in every direction.
 #[inline(always)]
-pub(crate) fn shown_area(surfel: &LeafSurfel) -> f32 {
+pub(crate) fn shown_area(surfel: &CutSurfel) -> f32 {
     if surfel.isotropic { 0.5 * surfel.area } else { surfel.area }
 }
 
 /// Draws the shapes of surfels.
 pub(crate) trait SurfelPen {
     /// Draws a surfel as a shape.
-    fn draw<S: Shape>(&mut self, seen: &SurfelSeen, shape: &S, outline: &Outline);
+    fn draw<S: Shape>(&mut self, seen: &SurfelSeen<'_>, shape: &S, outline: &Outline);
 }
 
 /// What is known of any shape a surfel is drawn as.
@@ -89,30 +88,36 @@ pub(crate) struct Outline {
 
 /// Draws a surfel as what it stands for, or else as a disk, if it covers anything.
 #[inline(always)]
-pub(crate) fn draw_surfel<P: SurfelPen>(seen: &SurfelSeen, receiver_normal: Vec3, pen: &mut P) {
+pub(crate) fn draw_surfel<P: SurfelPen>(seen: &SurfelSeen<'_>, receiver_normal: Vec3, pen: &mut P) {
     if !blocks(seen) {
         return;
     }
-    let surfel = &seen.surfel;
-    if surfel.is_triangle() {
-        let (triangle, bounds) = surfel_triangle(surfel);
-        let extent = surfel.radius;
-        pen.draw(seen, &triangle, &Outline { bounds, normal: surfel.normal, opacity: 1.0, extent });
-    } else if surfel.is_rectangle() {
-        let tile = surfel_tile(surfel);
-        let (bounds, extent) = (tile.bounds(), tile.half[0]);
-        pen.draw(seen, &tile, &Outline { bounds, normal: surfel.normal, opacity: 1.0, extent });
-    } else {
-        let (disk, normal, opacity) = surfel_disk(seen, receiver_normal);
-        let bounds = Aabb::from_disk(disk.center, normal, disk.radius);
-        pen.draw(seen, &disk, &Outline { bounds, normal, opacity, extent: disk.radius });
+    let &SurfelSeen { surfel, center, .. } = seen;
+    let (normal, opacity) = (surfel.normal, 1.0);
+    match &surfel.shape {
+        SurfelShape::Triangle { corners } => {
+            let (triangle, bounds) = surfel_triangle(normal, center, corners);
+            pen.draw(seen, &triangle, &Outline { bounds, normal, opacity, extent: surfel.radius });
+        }
+        SurfelShape::Rectangle { edges, half } => {
+            let inverse = normal * (1.0 / normal.dot(center));
+            let half = half.map(|half| half * TILE_RESERVE);
+            let tile = Tile { inverse, center, edges: *edges, half, distance_min: 0.0 };
+            let (bounds, extent) = (tile.bounds(), half[0]);
+            pen.draw(seen, &tile, &Outline { bounds, normal, opacity, extent });
+        }
+        SurfelShape::Disk => {
+            let (disk, normal, opacity) = surfel_disk(seen, receiver_normal);
+            let bounds = Aabb::from_disk(disk.center, normal, disk.radius);
+            pen.draw(seen, &disk, &Outline { bounds, normal, opacity, extent: disk.radius });
+        }
     }
 }
 
 /// The disk a surfel is drawn as, its normal, and its opacity. An isotropic one turns to the receiver.
 #[inline(always)]
-fn surfel_disk(seen: &SurfelSeen, receiver_normal: Vec3) -> (Disk, Vec3, f32) {
-    let surfel = &seen.surfel;
+fn surfel_disk(seen: &SurfelSeen<'_>, receiver_normal: Vec3) -> (Disk, Vec3, f32) {
+    let &SurfelSeen { surfel, center, .. } = seen;
     let area_true = (shown_area(surfel) * FRAC_1_PI).sqrt();
     let is_sheet = surfel.front_only || surfel.isotropic;
     let reserve = if is_sheet { SHEET_RESERVE } else { SOLID_RESERVE };
@@ -122,44 +127,29 @@ fn surfel_disk(seen: &SurfelSeen, receiver_normal: Vec3) -> (Disk, Vec3, f32) {
         opacity = (SHEET_RESERVE * area_true / radius).powi(2);
     }
     let normal = if surfel.isotropic {
-        surfel.center * (-1.0 / seen.distance2.sqrt())
+        center * (-1.0 / seen.distance2.sqrt())
     } else {
         surfel.normal
     };
-    let inverse = normal * (1.0 / normal.dot(surfel.center));
-    let distance_min = least_distance(surfel, receiver_normal);
-    (Disk { inverse, center: surfel.center, radius, distance_min }, normal, opacity)
+    let inverse = normal * (1.0 / normal.dot(center));
+    let distance_min = least_distance(surfel, center, receiver_normal);
+    (Disk { inverse, center, radius, distance_min }, normal, opacity)
 }
 
-/// The rectangle a surfel is drawn as.
+/// The triangle that one with these corners around its center is drawn as, and its box.
 #[inline(always)]
-fn surfel_tile(surfel: &LeafSurfel) -> Tile {
-    Tile {
-        inverse: surfel.normal * (1.0 / surfel.normal.dot(surfel.center)),
-        center: surfel.center,
-        edges: surfel.tile.edges(surfel.normal),
-        half: surfel.half_edges().map(|half| half * TILE_RESERVE),
-        distance_min: 0.0,
-    }
-}
-
-/// The triangle a surfel is drawn as, and its box.
-#[inline(always)]
-fn surfel_triangle(surfel: &LeafSurfel) -> (Triangle, Aabb) {
-    let [a, b, c] = surfel.corners();
-    let center = surfel.center;
-    let corners = [center + a * TILE_RESERVE, center + b * TILE_RESERVE, center + c * TILE_RESERVE];
-    let inverse = surfel.normal * (1.0 / surfel.normal.dot(center));
-    let [a, b, c] = corners;
+fn surfel_triangle(normal: Vec3, center: Vec3, corners: &[Vec3; 3]) -> (Triangle, Aabb) {
+    let [a, b, c] = corners.map(|corner| center + corner * TILE_RESERVE);
+    let inverse = normal * (1.0 / normal.dot(center));
     let bounds = Aabb { min: a.min(b).min(c), max: a.max(b).max(c) };
-    (Triangle::new(inverse, corners, 0.0), bounds)
+    (Triangle::new(inverse, [a, b, c], 0.0), bounds)
 }
 
 /// Whether a surfel covers anything: neither seen along its edge nor from behind where only its front is.
 #[inline(always)]
-fn blocks(seen: &SurfelSeen) -> bool {
-    let surfel = &seen.surfel;
-    let height = surfel.normal.dot(surfel.center);
+fn blocks(seen: &SurfelSeen<'_>) -> bool {
+    let surfel = seen.surfel;
+    let height = surfel.normal.dot(seen.center);
     surfel.isotropic || height < 0.0 || (height > 0.0 && !surfel.front_only)
 }
 
@@ -168,42 +158,44 @@ const NEAR_AREA: f32 = 0.003;
 
 /// Solid angle of a surfel, as if nothing hid it; an isotropic one turns to the receiver.
 #[inline(always)]
-pub(crate) fn surfel_solid_angle(seen: &SurfelSeen) -> f32 {
-    let surfel = &seen.surfel;
+pub(crate) fn surfel_solid_angle(seen: &SurfelSeen<'_>) -> f32 {
+    let &SurfelSeen { surfel, center, distance2, .. } = seen;
     let area = shown_area(surfel);
     if surfel.isotropic {
-        return area / seen.distance2;
+        return area / distance2;
     }
-    let height = surfel.normal.dot(surfel.center);
-    let far = area * height.abs() / (seen.distance2 * seen.distance2.sqrt());
-    if area < NEAR_AREA * seen.distance2 {
+    let height = surfel.normal.dot(center);
+    let far = area * height.abs() / (distance2 * distance2.sqrt());
+    if area < NEAR_AREA * distance2 {
         return far;
     }
     // Variances of its points along its edges; of a disk, along all directions in it.
-    let (spread2, along2) = if surfel.is_triangle() {
-        // Of a triangle: a quarter of the mean over its corners.
-        let [a, b, c] = surfel.corners();
-        let along = |corner: Vec3| corner.dot(surfel.center);
-        let spread = a.length_squared() + b.length_squared() + c.length_squared();
-        let [p, q, r] = [along(a), along(b), along(c)];
-        (spread * (1.0 / 12.0), (p * p + q * q + r * r) * (1.0 / 12.0))
-    } else if surfel.is_rectangle() {
-        let [a, b] = surfel.half_edges().map(|half| half * half * (1.0 / 3.0));
-        let [u, v] = surfel.tile.edges(surfel.normal).map(|edge| edge.dot(surfel.center));
-        (a + b, a * u * u + b * v * v)
-    } else {
-        let variance = area * (0.25 * FRAC_1_PI);
-        (2.0 * variance, variance * (seen.distance2 - height * height))
+    let (spread2, along2) = match &surfel.shape {
+        SurfelShape::Triangle { corners } => {
+            // A quarter of the mean over its corners.
+            let spread: f32 = corners.iter().map(|corner| corner.length_squared()).sum();
+            let along2: f32 = corners.iter().map(|corner| corner.dot(center).powi(2)).sum();
+            (spread * (1.0 / 12.0), along2 * (1.0 / 12.0))
+        }
+        SurfelShape::Rectangle { edges, half } => {
+            let [a, b] = half.map(|half| half * half * (1.0 / 3.0));
+            let [u, v] = edges.map(|edge| edge.dot(center));
+            (a + b, a * u * u + b * v * v)
+        }
+        SurfelShape::Disk => {
+            let variance = area * (0.25 * FRAC_1_PI);
+            (2.0 * variance, variance * (distance2 - height * height))
+        }
     };
-    far * patch_solid_angle_factor(seen.distance2, spread2, along2)
+    far * patch_solid_angle_factor(distance2, spread2, along2)
 }
 
 /// How a surfel, drawn so, covers and shines.
 #[inline(always)]
-pub(crate) fn surfel_ink(seen: &SurfelSeen, outline: &Outline) -> Ink {
-    let (surfel, distance) = (&seen.surfel, seen.distance2.sqrt());
+pub(crate) fn surfel_ink(seen: &SurfelSeen<'_>, outline: &Outline) -> Ink {
+    let (surfel, distance) = (seen.surfel, seen.distance2.sqrt());
     let Outline { normal, opacity, extent, .. } = *outline;
-    let cosine = normal.dot(surfel.center) * (-1.0 / distance);
+    let cosine = normal.dot(seen.center) * (-1.0 / distance);
     Ink {
         veil: Veil { start: 0.0, end: opacity, seed: seen.seed },
         solid_angle: surfel_solid_angle(seen),
@@ -222,7 +214,7 @@ pub(crate) fn piece_ink(cluster: &Cluster, piece: &Piece, veil: Veil) -> Ink {
 /// Where a piece of a cluster lies, and which share of it is there.
 #[inline(always)]
 pub(crate) fn piece_shape(cluster: &Cluster, piece: &Piece) -> (Section, Veil) {
-    let &Piece { inverse, low, high, stencil, axis, .. } = piece;
-    let section = Section { inverse, low, high, stencil, axis };
+    let &Piece { inverse, stencil, axis, .. } = piece;
+    let section = Section { inverse, low: cluster.low, high: cluster.high, stencil, axis };
     (section, Veil { start: piece.start, end: piece.end, seed: cluster.seed })
 }

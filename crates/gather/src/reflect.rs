@@ -194,15 +194,20 @@ impl<L: Lanes> CutVisitor for LobeVisitor<'_, L> {
     }
 
     #[inline(always)]
-    fn take_surfel(&mut self, seen: &SurfelSeen) {
+    fn take_surfel(&mut self, seen: &SurfelSeen<'_>) {
         draw_surfel(seen, self.plane, self);
+    }
+
+    #[inline(always)]
+    fn minds_order(&self) -> bool {
+        true
     }
 }
 
 impl<L: Lanes> SurfelPen for LobeVisitor<'_, L> {
     #[inline(always)]
-    fn draw<S: Shape>(&mut self, seen: &SurfelSeen, shape: &S, outline: &Outline) {
-        let toward = seen.surfel.center;
+    fn draw<S: Shape>(&mut self, seen: &SurfelSeen<'_>, shape: &S, outline: &Outline) {
+        let toward = seen.center;
         let spread = seen.surfel.radius / seen.distance2.sqrt();
         let place = Place { toward, spread, is_round: seen.surfel.isotropic };
         let drawn = self.ink(&surfel_ink(seen, outline), &place);

@@ -38,17 +38,23 @@ impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
     }
 
     #[inline(always)]
-    fn take_surfel(&mut self, seen: &SurfelSeen) {
+    fn take_surfel(&mut self, seen: &SurfelSeen<'_>) {
         draw_surfel(seen, self.plane, self);
+    }
+
+    /// What covers first says how far away a sample is, and light alone asks for it.
+    #[inline(always)]
+    fn minds_order(&self) -> bool {
+        self.raster.shines()
     }
 }
 
 impl<L: Lanes> SurfelPen for CubeVisitor<'_, L> {
     #[inline(always)]
-    fn draw<S: Shape>(&mut self, seen: &SurfelSeen, shape: &S, outline: &Outline) {
+    fn draw<S: Shape>(&mut self, seen: &SurfelSeen<'_>, shape: &S, outline: &Outline) {
         let footprint = self.raster.footprint(outline.bounds.min, outline.bounds.max);
         let ink = surfel_ink(seen, outline);
-        self.raster.draw::<L, S>(&[(*shape, ink)], &footprint, seen.surfel.center);
+        self.raster.draw::<L, S>(&[(*shape, ink)], &footprint, seen.center);
     }
 }
 
@@ -75,14 +81,19 @@ impl<L: Lanes> CutVisitor for WindowVisitor<'_, L> {
     }
 
     #[inline(always)]
-    fn take_surfel(&mut self, seen: &SurfelSeen) {
+    fn take_surfel(&mut self, seen: &SurfelSeen<'_>) {
         draw_surfel(seen, self.plane, self);
+    }
+
+    #[inline(always)]
+    fn minds_order(&self) -> bool {
+        false
     }
 }
 
 impl<L: Lanes> SurfelPen for WindowVisitor<'_, L> {
     #[inline(always)]
-    fn draw<S: Shape>(&mut self, seen: &SurfelSeen, shape: &S, outline: &Outline) {
+    fn draw<S: Shape>(&mut self, seen: &SurfelSeen<'_>, shape: &S, outline: &Outline) {
         if self.window.is_met_by(outline.bounds.min, outline.bounds.max) {
             let veil = Veil { start: 0.0, end: outline.opacity, seed: seen.seed };
             self.raster.draw::<L, S>(self.window, shape, &veil);

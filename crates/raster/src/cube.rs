@@ -38,6 +38,12 @@ pub struct Ink {
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C, align(32))]
 pub struct TexelChunk {
+    /// Whether anything of it is open.
+    pub is_open: bool,
+    /// Whether anything of it holds light; `radiance` is 0 if not.
+    pub is_lit: bool,
+    /// Whether there may be light behind it; `far_radiance` is 0 if not.
+    pub is_lit_behind: bool,
     /// Share of each texel, above the horizon, that surfaces cover.
     pub covered: [f32; LANES],
     /// How far the middle of what is open lies from the middle of what is above the horizon, along u and v, in halves of a texel;
@@ -729,22 +735,29 @@ impl CubeRaster {
                     through[lane] = share_of_rest(far[lane], above[lane], near[lane]);
                 }
                 (chunk.far_radiance, chunk.far_offset) = behind.light(start, &through);
+                chunk.is_lit_behind = true;
             }
         }
-        for lane in 0..LANES {
-            let open = (!covered[lane]).count_ones() as f32;
-            chunk.covered[lane] = 1.0 - open / larger_than_zero(above[lane].count_ones() as f32);
-        }
-        for lane in 0..LANES {
-            // Texels that the horizon or an edge crosses are few.
-            if covered[lane] != ALL && covered[lane] != !above[lane] {
-                let offset = open_offset(!covered[lane], above[lane]);
-                (chunk.open_offset[0][lane], chunk.open_offset[1][lane]) = (offset[0], offset[1]);
+        chunk.is_open = covered != [ALL; LANES];
+        if chunk.is_open {
+            for lane in 0..LANES {
+                let open = (!covered[lane]).count_ones() as f32;
+                let all = larger_than_zero(above[lane].count_ones() as f32);
+                chunk.covered[lane] = 1.0 - open / all;
+            }
+            for lane in 0..LANES {
+                // Texels that the horizon or an edge crosses are few.
+                if covered[lane] != ALL && covered[lane] != !above[lane] {
+                    let offset = open_offset(!covered[lane], above[lane]);
+                    (chunk.open_offset[0][lane], chunk.open_offset[1][lane]) =
+                        (offset[0], offset[1]);
+                }
             }
         }
         let (row_index, column) = (start / self.stride, start % self.stride);
         let lit = self.lit[row_index] >> column & ((1 << LANES) - 1);
-        if lit != 0 {
+        chunk.is_lit = lit != 0;
+        if chunk.is_lit {
             for lane in (0..LANES).filter(|lane| lit >> lane & 1 != 0) {
                 let light = &self.lights[start + lane];
                 let whole = near[lane] == ALL;
