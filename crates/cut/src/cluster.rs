@@ -72,7 +72,7 @@ impl Cluster {
         &self.pieces[..self.count]
     }
 
-    /// Evaluates the lobes of a node with this box, relative to a receiver at `position`; `margin` is [`Self::REACH`] times the box's largest edge.
+    /// Evaluates the lobes of a node with this box, relative to a receiver at `position`.
     ///
     /// Opaque surfaces enclose things: the areas their fronts show do not overlap, and add up; their backs are behind
     /// their fronts. Sheets (front-only surfels back to back: leaves, cloth) do overlap, unless they are one flat
@@ -82,7 +82,6 @@ impl Cluster {
     pub(crate) fn from_lobes(
         low: Vec3,
         high: Vec3,
-        margin: f32,
         lobes: &[KnownLobe],
         seed: u32,
         position: Vec3,
@@ -114,6 +113,7 @@ impl Cluster {
         } else if count == 1 && shown[0].is_sheet && !shown[0].is_flat {
             thin_sheets(&mut shown[..1], || box_silhouette(half, toward_receiver));
         }
+        let margin = Self::REACH * (high - low).max_element();
         let mut cluster = Self {
             low: low - margin,
             high: high + margin,
@@ -313,7 +313,7 @@ mod tests {
             KnownLobe::new(&lobe, &bounds)
         };
         let lobes: Vec<KnownLobe> = stored.map(known).collect();
-        Cluster::from_lobes(-receiver, Vec3::ONE - receiver, 0.0, &lobes, 1, receiver)
+        Cluster::from_lobes(-receiver, Vec3::ONE - receiver, &lobes, 1, receiver)
     }
 
     #[test]

@@ -1,7 +1,8 @@
 //! Nodes and leaves as walks need them: decoded once, and kept for the receivers that come by next.
 
 use crate::metric::{NodeSeen, Threshold};
-use crate::node::{NodePlace, Viewpoint, bad_link, pin_sound_page, view_group};
+use crate::cluster::Cluster;
+use crate::node::{NodePlace, Viewpoint, bad_link, larger, pin_sound_page, view_group};
 use crate::stats::CutStats;
 use pbgi_format::{
     CHILDREN_MAX, Channels, ChildLink, LeafSurfel, Lobe, PageId, SurfelLayout, SurfelPage,
@@ -61,8 +62,7 @@ pub(crate) struct KnownGroup {
     /// How far covering disks reach out of the boxes of the children at most.
     pub cover_margin: f32,
     /// Boxes of the children relative to the file's origin, by index, and their brightness.
-    low: [[f32; CHILDREN_MAX]; 3],
-    high: [[f32; CHILDREN_MAX]; 3],
+    boxes: Boxes,
     pub brightness: [f32; CHILDREN_MAX],
     /// Numbers of the children among groups or leaves.
     links: [u32; CHILDREN_MAX],
@@ -70,13 +70,40 @@ pub(crate) struct KnownGroup {
     lobes: [u32; CHILDREN_MAX + 1],
 }
 
-/// What a walk knows of a group's children (bit = octant) as seen from a place.
+/// Eight boxes, by axis: those of a group's children or of some of a leaf's surfels.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Boxes {
+    /// Smallest corners.
+    pub low: [[f32; CHILDREN_MAX]; 3],
+    /// Largest corners.
+    pub high: [[f32; CHILDREN_MAX]; 3],
+}
+
+impl Boxes {
+    /// Smallest and largest corner of one.
+    #[must_use]
+    #[inline(always)]
+    pub fn get(&self, index: usize) -> [Vec3; 2] {
+        [&self.low, &self.high].map(|of| Vec3::new(of[0][index], of[1][index], of[2][index]))
+    }
+
+    /// Sets one.
+    #[inline(always)]
+    pub fn set(&mut self, index: usize, low: Vec3, high: Vec3) {
+        for axis in 0..3 {
+            (self.low[axis][index], self.high[axis][index]) = (low[axis], high[axis]);
+        }
+    }
+}
+
+/// What a walk knows of a group's children as seen from a place.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct GroupSeen {
-    /// Below the horizon or not wanted.
+    /// Octants whose child is below the horizon or not wanted, and those whose child is too large to be taken as one.
     pub below: u8,
-    /// Too large to be taken as one.
     pub large: u8,
+    /// Boxes around all that is drawn of the children, by index, relative to the place.
+    pub boxes: Boxes,
 }
 
 /// A lobe of a node: what of it does not depend on the receiver.
@@ -134,6 +161,8 @@ pub struct CutSurfel {
     pub area: f32,
     /// What it stands for.
     pub shape: SurfelShape,
+    /// Corners of a box around it from its center, larger by [`OUTLINE_RESERVE`].
+    pub reach: [Vec3; 2],
     /// Radiance of the front, W·m⁻²·sr⁻¹.
     pub radiance: [f32; 3],
     /// Shows half its area to every direction.
@@ -142,21 +171,31 @@ pub struct CutSurfel {
     pub front_only: bool,
 }
 
+/// Factor by which rectangles and triangles are drawn larger than they are: rounding and the codes' errors leave no gap between neighbors.
+pub const OUTLINE_RESERVE: f32 = 1.02;
+
 impl CutSurfel {
     /// A leaf's surfel.
     #[must_use]
     #[inline(always)]
     pub fn new(surfel: &LeafSurfel) -> Self {
         let &LeafSurfel { normal, radius, area, radiance, isotropic, front_only, .. } = surfel;
-        let shape = if surfel.is_triangle() {
-            SurfelShape::Triangle { corners: surfel.corners() }
+        let (shape, reach) = if surfel.is_triangle() {
+            let corners = surfel.corners();
+            let [a, b, c] = corners.map(|corner| corner * OUTLINE_RESERVE);
+            (SurfelShape::Triangle { corners }, [a.min(b).min(c), a.max(b).max(c)])
         } else if surfel.is_rectangle() {
             let (edges, half) = (surfel.tile.edges(normal), surfel.half_edges());
-            SurfelShape::Rectangle { edges, half }
+            let [a, b] = half.map(|half| half * OUTLINE_RESERVE);
+            let reach = edges[0].abs() * a + edges[1].abs() * b;
+            (SurfelShape::Rectangle { edges, half }, [-reach, reach])
+        } else if isotropic {
+            (SurfelShape::Disk, [-Vec3::splat(radius), Vec3::splat(radius)])
         } else {
-            SurfelShape::Disk
+            let Aabb { min, max } = Aabb::from_disk(Vec3::ZERO, normal, radius);
+            (SurfelShape::Disk, [min, max])
         };
-        Self { normal, radius, area, shape, radiance, isotropic, front_only }
+        Self { normal, radius, area, shape, reach, radiance, isotropic, front_only }
     }
 }
 
@@ -291,17 +330,16 @@ impl<'a> NodeReader<'a> {
             planes: 0,
             split: fields.split,
             cover_margin: fields.cover_margin,
-            low: [[0.0; CHILDREN_MAX]; 3],
-            high: [[0.0; CHILDREN_MAX]; 3],
+            boxes: Boxes::default(),
             brightness: [0.0; CHILDREN_MAX],
             links: [UNKNOWN; CHILDREN_MAX],
             lobes: [UNKNOWN; CHILDREN_MAX + 1],
         };
         for axis in 0..3 {
             for lane in 0..CHILDREN_MAX {
-                group.low[axis][lane] = base[axis] + step[axis] * f32::from(corners[axis][lane]);
-                group.high[axis][lane] =
-                    base[axis] + step[axis] * f32::from(corners[axis + 3][lane]);
+                let corner = |axis_of: usize| f32::from(corners[axis_of][lane]);
+                group.boxes.low[axis][lane] = base[axis] + step[axis] * corner(axis);
+                group.boxes.high[axis][lane] = base[axis] + step[axis] * corner(axis + 3);
             }
         }
         let stride = Lobe::stored_bytes(layout.channels);
@@ -493,6 +531,16 @@ impl<'a> NodeReader<'a> {
     }
 }
 
+/// How far disks reach out of the box of their node at most, as a share of the box's largest edge.
+const OVERHANG: f32 = 0.125;
+
+/// How far what is in the box of an open node reaches out of it: disks by an eighth of the box's edge, needles farther but transparent; the group's margin
+/// may come from one giant among its surfels.
+#[inline(always)]
+pub(crate) fn open_margin(cover_margin: f32, edge: f32) -> f32 {
+    cover_margin.min(OVERHANG * edge)
+}
+
 /// Bytes of an entry in the map of groups, with its empty neighbors.
 const GROUP_MAP_BYTES: usize = 2 * size_of::<((PageId, u32), u32)>();
 
@@ -520,9 +568,8 @@ impl KnownGroup {
     /// Box of a child, relative to the file's origin.
     #[inline(always)]
     pub fn bounds(&self, index: usize) -> Aabb {
-        let corner =
-            |of: &[[f32; CHILDREN_MAX]; 3]| Vec3::new(of[0][index], of[1][index], of[2][index]);
-        Aabb { min: corner(&self.low), max: corner(&self.high) }
+        let [min, max] = self.boxes.get(index);
+        Aabb { min, max }
     }
 
     /// Tests all children against horizon and threshold.
@@ -534,20 +581,25 @@ impl KnownGroup {
         stats: &mut CutStats,
     ) -> GroupSeen {
         // Eight boxes at a time; what there are no children for is not looked at.
+        let mut found = GroupSeen::default();
         let mut center = [[0.0; CHILDREN_MAX]; 3];
         let (mut distance2, mut radius2) = ([0.0; CHILDREN_MAX], [0.0; CHILDREN_MAX]);
+        let mut edge = [0.0; CHILDREN_MAX];
+        let Boxes { low, high } = &mut found.boxes;
         for axis in 0..3 {
             let at = view.position[axis];
             for lane in 0..CHILDREN_MAX {
-                let (low, high) = (self.low[axis][lane] - at, self.high[axis][lane] - at);
-                let (middle, half) = ((low + high) * 0.5, (high - low) * 0.5);
+                let (a, b) = (self.boxes.low[axis][lane] - at, self.boxes.high[axis][lane] - at);
+                let (middle, half) = ((a + b) * 0.5, (b - a) * 0.5);
+                (low[axis][lane], high[axis][lane]) = (a, b);
                 center[axis][lane] = middle;
                 distance2[lane] += middle * middle;
                 radius2[lane] += half * half;
+                edge[lane] = larger(edge[lane], b - a);
             }
         }
-        let top = view.tops(&self.low, &self.high);
-        let mut found = GroupSeen::default();
+        let top = view.tops(low, high);
+        let mut margin = edge.map(|edge| edge * Cluster::REACH);
         let mut rest = self.octants;
         let mut index = 0;
         while rest != 0 {
@@ -565,8 +617,15 @@ impl KnownGroup {
                 found.below |= bit;
             } else if seen.radius2 > threshold.sin2_max(&seen) * seen.distance2 {
                 found.large |= bit;
+                margin[index] = open_margin(self.cover_margin, edge[index]);
             }
             index += 1;
+        }
+        for axis in 0..3 {
+            for lane in 0..CHILDREN_MAX {
+                found.boxes.low[axis][lane] -= margin[lane];
+                found.boxes.high[axis][lane] += margin[lane];
+            }
         }
         stats.nodes_visited += index as u64;
         stats.culled_horizon += u64::from(found.below.count_ones());

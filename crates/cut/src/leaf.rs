@@ -1,10 +1,11 @@
 //! Surfels of a leaf, nearest first.
 
-use crate::known::{KnownLeaf, NodeReader};
+use crate::known::{Boxes, KnownLeaf, NodeReader};
 use crate::node::Limits;
 use crate::own_surface::is_own_surface;
 use crate::stats::CutStats;
 use crate::walk::{CutReceiver, CutVisitor, SurfelSeen};
+use pbgi_format::CHILDREN_MAX;
 use pbgi_math::{Aabb, Vec3};
 
 /// Gives the visitor the surfels of a leaf that the receiver may see, of those that count if not all do.
@@ -31,21 +32,31 @@ pub(crate) fn take_leaf<V: CutVisitor>(
     if visitor.minds_order() {
         order.sort_unstable();
     }
-    for key in order.iter() {
-        let (distance2, index) = (f32::from_bits((key >> 32) as u32), *key as u32);
-        let surfel = &surfels[index as usize];
-        let center = centers[index as usize] - position;
-        let is_hidden = if receiver.is_one {
-            is_own_surface(surfel, center, receiver)
-        } else {
-            // Far from all receivers there is no own surface, but what lies below the horizon.
-            let reach = Vec3::splat(surfel.radius);
-            receiver.view.top(center - reach, center + reach) <= 0.0
-        };
-        if distance2 == 0.0 || is_hidden {
-            continue;
+    for eight in order.chunks(CHILDREN_MAX) {
+        let mut boxes = Boxes::default();
+        for (lane, key) in eight.iter().enumerate() {
+            let index = *key as u32 as usize;
+            let ([low, high], center) = (surfels[index].reach, centers[index] - position);
+            boxes.set(lane, center + low, center + high);
         }
-        visitor.take_surfel(&SurfelSeen { surfel, center, seed: leaf.seed(index), distance2 });
-        stats.surfels += 1;
+        let kept = visitor.look_at(&boxes);
+        for (key, kept) in eight.iter().zip(kept) {
+            let (distance2, index) = (f32::from_bits((key >> 32) as u32), *key as u32);
+            let surfel = &surfels[index as usize];
+            let center = centers[index as usize] - position;
+            let is_hidden = if receiver.is_one {
+                is_own_surface(surfel, center, receiver)
+            } else {
+                // Far from all receivers there is no own surface, but what lies below the horizon.
+                let reach = Vec3::splat(surfel.radius);
+                receiver.view.top(center - reach, center + reach) <= 0.0
+            };
+            if distance2 == 0.0 || is_hidden {
+                continue;
+            }
+            let seed = leaf.seed(index);
+            visitor.take_surfel(&SurfelSeen { surfel, center, seed, distance2, kept });
+            stats.surfels += 1;
+        }
     }
 }

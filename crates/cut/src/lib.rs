@@ -16,11 +16,11 @@ mod walk;
 
 pub use cluster::{Cluster, Piece};
 pub use divide::{Division, Separation};
-pub use known::{CutSurfel, KNOWN_BYTES, NodeReader, SurfelShape};
+pub use known::{Boxes, CutSurfel, KNOWN_BYTES, NodeReader, OUTLINE_RESERVE, SurfelShape};
 pub use metric::{NodeSeen, Threshold, UniformThreshold};
 pub use node::{NodeRef, Normals};
 pub use own_surface::OWN_SURFACE_COSINE;
 pub use stats::{CutStats, LEVELS, LevelStats};
 pub use walk::{
-    CutReceiver, CutScratch, CutVisitor, SurfelSeen, WalkFrom, pick_cut,
+    CutReceiver, CutScratch, CutVisitor, Kept, NOTHING_KEPT, SurfelSeen, WalkFrom, pick_cut,
 };

@@ -127,7 +127,7 @@ impl Viewpoint {
         if self.planes == self.normals { top } else { top.min(self.planes.top(low, high)) }
     }
 
-    /// [`Self::top`] of eight boxes at a time, relative to the file's origin.
+    /// [`Self::top`] of eight boxes at a time.
     #[inline(always)]
     pub fn tops(
         &self,
@@ -138,10 +138,9 @@ impl Viewpoint {
             let mut tops = [0.0; CHILDREN_MAX];
             for axis in 0..3 {
                 let (a, b) = (normals.low[axis], normals.high[axis]);
-                let to_low = self.position[axis] + self.reach.max[axis];
-                let to_high = self.position[axis] + self.reach.min[axis];
+                let (far, near) = (self.reach.max[axis], self.reach.min[axis]);
                 for lane in 0..CHILDREN_MAX {
-                    let (low, high) = (low[axis][lane] - to_low, high[axis][lane] - to_high);
+                    let (low, high) = (low[axis][lane] - far, high[axis][lane] - near);
                     let of_a = larger(a * low, a * high);
                     let of_b = larger(b * low, b * high);
                     tops[lane] += larger(of_a, of_b);
@@ -218,7 +217,7 @@ impl KnownGroup {
 
 /// The larger of two numbers, in one instruction: neither is none.
 #[inline(always)]
-fn larger(a: f32, b: f32) -> f32 {
+pub(crate) fn larger(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 

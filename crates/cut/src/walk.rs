@@ -1,7 +1,7 @@
 //! The walk: depth first, children front to back.
 
 use crate::cluster::Cluster;
-use crate::known::{CutSurfel, GroupIndex, NodeReader};
+use crate::known::{Boxes, CutSurfel, GroupIndex, NodeReader, open_margin};
 use crate::leaf::take_leaf;
 use crate::metric::Threshold;
 use crate::node::{Limits, NodePlace, NodeRef, Normals, Viewpoint, judge};
@@ -78,12 +78,34 @@ pub struct SurfelSeen<'s> {
     pub seed: u32,
     /// Squared distance of its center.
     pub distance2: f32,
+    /// What the visitor has kept of its box.
+    pub kept: Kept,
 }
+
+impl SurfelSeen<'_> {
+    /// Corners of its box, relative to the receiver.
+    #[must_use]
+    #[inline(always)]
+    pub fn bounds(&self) -> [Vec3; 2] {
+        self.surfel.reach.map(|reach| self.center + reach)
+    }
+}
+
+/// What a visitor keeps of a box from when it sees it among others to when it is asked about it.
+pub type Kept = u64;
+
+/// Nothing is kept of a box.
+pub const NOTHING_KEPT: Kept = u64::MAX;
 
 /// Receives a cut, nearest first.
 pub trait CutVisitor {
-    /// Whether anything in the box `low..=high` (relative to the receiver) could still be seen.
-    fn is_open(&mut self, low: Vec3, high: Vec3) -> bool;
+    /// Looks at eight boxes at a time, relative to the receiver, that it will be asked about.
+    #[inline(always)]
+    fn look_at(&self, _: &Boxes) -> [Kept; CHILDREN_MAX] {
+        [NOTHING_KEPT; CHILDREN_MAX]
+    }
+    /// Whether anything in the box `low..=high` (relative to the receiver), of which this was kept, could still be seen.
+    fn is_open(&mut self, low: Vec3, high: Vec3, kept: Kept) -> bool;
     /// Takes a node as one, just after `is_open` was asked about its box.
     fn take_cluster(&mut self, cluster: &Cluster);
     /// Takes a surfel.
@@ -91,9 +113,6 @@ pub trait CutVisitor {
     /// Whether it makes a difference which of a leaf's surfels comes first.
     fn minds_order(&self) -> bool;
 }
-
-/// How far near disks reach out of the box of their node at most, as a share of the box's largest edge.
-const OVERHANG: f32 = 0.125;
 
 /// A group on the way from where the walk began to where it is.
 struct Frame {
@@ -105,6 +124,9 @@ struct Frame {
     large: u8,
     /// Octant order, front to back, is `step ^ flip`.
     flip: u8,
+    /// Boxes around what is drawn of the children, by index, relative to the receiver, and what the visitor keeps of them.
+    boxes: Boxes,
+    kept: [Kept; CHILDREN_MAX],
 }
 
 /// Memory of a walk, reused from receiver to receiver.
@@ -165,14 +187,6 @@ fn nearness(low: Vec3, high: Vec3) -> f32 {
     nearest + 0.25 * ((low + high) * 0.5).length()
 }
 
-/// How far what is in a node's box reaches out of it: disks by an eighth of a box's edge, needles farther but transparent; the group's margin may
-/// come from one giant among its surfels.
-#[inline(always)]
-fn outer_margin(is_large: bool, cover_margin: f32, low: Vec3, high: Vec3) -> f32 {
-    let edge = (high - low).max_element();
-    if is_large { cover_margin.min(OVERHANG * edge) } else { Cluster::REACH * edge }
-}
-
 /// The state of a walk.
 struct Walk<'w, 'a, V, T> {
     nodes: &'w mut NodeReader<'a>,
@@ -189,10 +203,6 @@ struct Child<'n> {
     place: NodePlace,
     octant: u8,
     is_large: bool,
-    /// Its box, relative to the receiver, and how far what is in it reaches out.
-    low: Vec3,
-    high: Vec3,
-    margin: f32,
     /// Which of its surfels count, if not all.
     limits: Option<(&'n Limits, [&'n Aabb; 2])>,
 }
@@ -206,14 +216,14 @@ impl<V: CutVisitor, T: Threshold> Walk<'_, '_, V, T> {
         let seen = group.see(view, self.threshold, self.stats);
         let flip = view.position.cmpgt(group.split).bitmask() as u8;
         let (place, wanted) = (group.place, group.octants & !seen.below);
-        let frame = Frame { place, group: at, step: 0, wanted, large: seen.large, flip };
+        let (large, boxes, kept) = (seen.large, seen.boxes, self.visitor.look_at(&seen.boxes));
+        let frame = Frame { place, group: at, step: 0, wanted, large, flip, boxes, kept };
         self.scratch.frames.push(frame);
     }
 
     /// Walks until all groups on the way are done.
     #[inline(always)]
     fn go(&mut self) -> Result<(), StoreError> {
-        let position = self.receiver.view.position;
         loop {
             self.nodes.trim();
             let Some(frame) = self.scratch.frames.last_mut() else { return Ok(()) };
@@ -233,15 +243,13 @@ impl<V: CutVisitor, T: Threshold> Walk<'_, '_, V, T> {
                 continue;
             }
             let (group, place, is_large) = (frame.group, frame.place, frame.large & bit != 0);
-            let known = self.nodes.group(group);
-            let bounds = known.bounds(known.index(octant));
-            let (low, high) = (bounds.min - position, bounds.max - position);
-            let margin = outer_margin(is_large, known.cover_margin, low, high);
-            if !self.visitor.is_open(low - margin, high + margin) {
+            let index = self.nodes.group(group).index(octant);
+            let ([low, high], kept) = (frame.boxes.get(index), frame.kept[index]);
+            if !self.visitor.is_open(low, high, kept) {
                 self.stats.culled_opaque += 1;
                 continue;
             }
-            self.take(&Child { group, place, octant, is_large, low, high, margin, limits: None })?;
+            self.take(&Child { group, place, octant, is_large, limits: None })?;
         }
     }
 
@@ -278,29 +286,34 @@ impl<V: CutVisitor, T: Threshold> Walk<'_, '_, V, T> {
         if is_dropped {
             return Ok(());
         }
-        let margin = outer_margin(is_large, node.cover_margin, low, high);
-        if !self.visitor.is_open(low - margin, high + margin) {
+        let edge = (high - low).max_element();
+        let margin = match is_large {
+            true => open_margin(node.cover_margin, edge),
+            false => Cluster::REACH * edge,
+        };
+        if !self.visitor.is_open(low - margin, high + margin, NOTHING_KEPT) {
             self.stats.culled_opaque += 1;
             return Ok(());
         }
         let (place, octant) = (node.group, node.octant);
         let Some(group) = self.nodes.group_at(place, self.stats)? else { return Ok(()) };
         let limits = (node.limits != Limits::NONE).then_some((&node.limits, boxes));
-        self.take(&Child { group, place, octant, is_large, low, high, margin, limits })?;
+        self.take(&Child { group, place, octant, is_large, limits })?;
         self.go()
     }
 
     /// Takes a node as one, or the surfels of a leaf, or goes on with its children.
     #[inline(always)]
     fn take(&mut self, child: &Child<'_>) -> Result<(), StoreError> {
-        let &Child { group, place, octant, low, high, margin, limits, .. } = child;
+        let &Child { group, place, octant, limits, .. } = child;
         let known = self.nodes.group(group);
         let (index, is_leaf) = (known.index(octant), known.leaves >> octant & 1 != 0);
         if !child.is_large {
-            let position = self.receiver.view.position;
+            let (bounds, position) = (known.bounds(index), self.receiver.view.position);
             let lobes = self.nodes.lobes(group, index, self.stats)?;
             let seed = place.seed(octant);
-            let cluster = Cluster::from_lobes(low, high, margin, lobes, seed, position);
+            let (low, high) = (bounds.min - position, bounds.max - position);
+            let cluster = Cluster::from_lobes(low, high, lobes, seed, position);
             self.visitor.take_cluster(&cluster);
             self.stats.clusters += 1;
         } else if is_leaf {

@@ -1,7 +1,7 @@
 //! Where bright surfaces lie around a receiver, whether or not anything hides them: what stands before them must be fine.
 
 use crate::primitive::surfel_solid_angle;
-use pbgi_cut::{Cluster, CutVisitor, NodeSeen, SurfelSeen, Threshold};
+use pbgi_cut::{Cluster, CutVisitor, Kept, NodeSeen, SurfelSeen, Threshold};
 use pbgi_math::{CubeMap, Vec3, sphere_sin2_for_solid_angle};
 use std::f32::consts::PI;
 
@@ -162,7 +162,7 @@ pub(crate) struct LampVisitor<'a> {
 
 impl CutVisitor for LampVisitor<'_> {
     #[inline(always)]
-    fn is_open(&mut self, _: Vec3, _: Vec3) -> bool {
+    fn is_open(&mut self, _: Vec3, _: Vec3, _: Kept) -> bool {
         true
     }
 

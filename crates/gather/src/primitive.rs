@@ -1,7 +1,9 @@
 //! Surfels and pieces of clusters as shapes that rasters draw.
 
-use pbgi_cut::{Cluster, CutSurfel, OWN_SURFACE_COSINE, Piece, SurfelSeen, SurfelShape};
-use pbgi_math::{Aabb, Vec3, patch_solid_angle_factor};
+use pbgi_cut::{
+    Cluster, CutSurfel, OUTLINE_RESERVE, OWN_SURFACE_COSINE, Piece, SurfelSeen, SurfelShape,
+};
+use pbgi_math::{Vec3, patch_solid_angle_factor};
 use pbgi_raster::{Disk, Ink, Section, Shape, Tile, Triangle, Veil};
 use std::f32::consts::FRAC_1_PI;
 
@@ -34,9 +36,6 @@ const SHEET_RESERVE: f32 = 1.1;
 /// Covering radius over area-true radius from which on a surfel is a needle: its disk keeps the covering radius and becomes
 /// transparent instead.
 const NEEDLE_RATIO: f32 = 2.2;
-
-/// The same for the edges of a surfel's rectangle: rounding and the codes' errors leave no gap between neighbors.
-const TILE_RESERVE: f32 = 1.02;
 
 /// Share of a piece's extent by which planes of neighbors on the same surface may lie before its own and not hide it.
 const PIECE_DEPTH: f32 = 0.15;
@@ -77,7 +76,6 @@ pub(crate) trait SurfelPen {
 
 /// What is known of any shape a surfel is drawn as.
 pub(crate) struct Outline {
-    pub bounds: Aabb,
     /// Of its front; an isotropic surfel turns to the receiver.
     pub normal: Vec3,
     /// Share of the shape that covers.
@@ -96,20 +94,18 @@ pub(crate) fn draw_surfel<P: SurfelPen>(seen: &SurfelSeen<'_>, receiver_normal: 
     let (normal, opacity) = (surfel.normal, 1.0);
     match &surfel.shape {
         SurfelShape::Triangle { corners } => {
-            let (triangle, bounds) = surfel_triangle(normal, center, corners);
-            pen.draw(seen, &triangle, &Outline { bounds, normal, opacity, extent: surfel.radius });
+            let triangle = surfel_triangle(normal, center, corners);
+            pen.draw(seen, &triangle, &Outline { normal, opacity, extent: surfel.radius });
         }
         SurfelShape::Rectangle { edges, half } => {
             let inverse = normal * (1.0 / normal.dot(center));
-            let half = half.map(|half| half * TILE_RESERVE);
+            let half = half.map(|half| half * OUTLINE_RESERVE);
             let tile = Tile { inverse, center, edges: *edges, half, distance_min: 0.0 };
-            let (bounds, extent) = (tile.bounds(), half[0]);
-            pen.draw(seen, &tile, &Outline { bounds, normal, opacity, extent });
+            pen.draw(seen, &tile, &Outline { normal, opacity, extent: half[0] });
         }
         SurfelShape::Disk => {
             let (disk, normal, opacity) = surfel_disk(seen, receiver_normal);
-            let bounds = Aabb::from_disk(disk.center, normal, disk.radius);
-            pen.draw(seen, &disk, &Outline { bounds, normal, opacity, extent: disk.radius });
+            pen.draw(seen, &disk, &Outline { normal, opacity, extent: disk.radius });
         }
     }
 }
@@ -136,13 +132,12 @@ fn surfel_disk(seen: &SurfelSeen<'_>, receiver_normal: Vec3) -> (Disk, Vec3, f32
     (Disk { inverse, center, radius, distance_min }, normal, opacity)
 }
 
-/// The triangle that one with these corners around its center is drawn as, and its box.
+/// The triangle that one with these corners around its center is drawn as.
 #[inline(always)]
-fn surfel_triangle(normal: Vec3, center: Vec3, corners: &[Vec3; 3]) -> (Triangle, Aabb) {
-    let [a, b, c] = corners.map(|corner| center + corner * TILE_RESERVE);
+fn surfel_triangle(normal: Vec3, center: Vec3, corners: &[Vec3; 3]) -> Triangle {
+    let [a, b, c] = corners.map(|corner| center + corner * OUTLINE_RESERVE);
     let inverse = normal * (1.0 / normal.dot(center));
-    let bounds = Aabb { min: a.min(b).min(c), max: a.max(b).max(c) };
-    (Triangle::new(inverse, [a, b, c], 0.0), bounds)
+    Triangle::new(inverse, [a, b, c], 0.0)
 }
 
 /// Whether a surfel covers anything: neither seen along its edge nor from behind where only its front is.

@@ -4,7 +4,7 @@ use crate::importance::nearest_to;
 use crate::light::PreparedLight;
 use crate::primitive::{Outline, SurfelPen, draw_surfel, piece_ink, piece_shape, surfel_ink};
 use pbgi_brdf::{GgxLobe, LobeDirections, LobePattern};
-use pbgi_cut::{Cluster, CutVisitor, SurfelSeen};
+use pbgi_cut::{Cluster, CutVisitor, Kept, SurfelSeen};
 use pbgi_math::Vec3;
 use pbgi_raster::{Ink, Lanes, LobeInk, LobeRaster, SAMPLES, Shape};
 use std::f32::consts::PI;
@@ -178,7 +178,7 @@ impl<L: Lanes> LobeVisitor<'_, L> {
 
 impl<L: Lanes> CutVisitor for LobeVisitor<'_, L> {
     #[inline(always)]
-    fn is_open(&mut self, low: Vec3, high: Vec3) -> bool {
+    fn is_open(&mut self, low: Vec3, high: Vec3, _: Kept) -> bool {
         self.raster.is_open::<L>(low, high)
     }
 
@@ -211,7 +211,8 @@ impl<L: Lanes> SurfelPen for LobeVisitor<'_, L> {
         let spread = seen.surfel.radius / seen.distance2.sqrt();
         let place = Place { toward, spread, is_round: seen.surfel.isotropic };
         let drawn = self.ink(&surfel_ink(seen, outline), &place);
-        if drawn.is_particle || self.raster.is_open::<L>(outline.bounds.min, outline.bounds.max) {
+        let [low, high] = seen.bounds();
+        if drawn.is_particle || self.raster.is_open::<L>(low, high) {
             self.draw_shape(shape, &drawn);
         }
     }

@@ -1,12 +1,16 @@
 //! The cut, drawn into rasters.
 
 use crate::primitive::{Outline, SurfelPen, draw_surfel, piece_ink, piece_shape, surfel_ink};
-use pbgi_cut::{Cluster, CutVisitor, SurfelSeen};
+use pbgi_cut::{Boxes, Cluster, CutVisitor, Kept, NOTHING_KEPT, SurfelSeen};
+use pbgi_format::CHILDREN_MAX;
 use pbgi_math::Vec3;
 use pbgi_raster::{
-    CubeRaster, Footprint, Ink, Lanes, SHAPES_MAX, Section, Shape, Veil, Window, WindowRaster,
+    CubeRaster, Footprint, Ink, Lanes, NO_FOOTPRINT_CODE, SHAPES_MAX, Section, Shape, Veil, Window, WindowRaster,
 };
 use std::marker::PhantomData;
+
+/// Of boxes whose footprint has no code nothing is kept.
+const _: () = assert!(NO_FOOTPRINT_CODE == NOTHING_KEPT);
 
 /// Draws the cut into the cube.
 pub(crate) struct CubeVisitor<'a, L> {
@@ -20,8 +24,16 @@ pub(crate) struct CubeVisitor<'a, L> {
 
 impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
     #[inline(always)]
-    fn is_open(&mut self, low: Vec3, high: Vec3) -> bool {
-        self.footprint = self.raster.footprint(low, high);
+    fn look_at(&self, boxes: &Boxes) -> [Kept; CHILDREN_MAX] {
+        self.raster.footprint_codes(&boxes.low, &boxes.high)
+    }
+
+    #[inline(always)]
+    fn is_open(&mut self, low: Vec3, high: Vec3, kept: Kept) -> bool {
+        self.footprint = match kept {
+            NO_FOOTPRINT_CODE => self.raster.footprint(low, high),
+            code => Footprint::from_code(code),
+        };
         self.raster.is_open(&self.footprint)
     }
 
@@ -52,7 +64,16 @@ impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
 impl<L: Lanes> SurfelPen for CubeVisitor<'_, L> {
     #[inline(always)]
     fn draw<S: Shape>(&mut self, seen: &SurfelSeen<'_>, shape: &S, outline: &Outline) {
-        let footprint = self.raster.footprint(outline.bounds.min, outline.bounds.max);
+        let footprint = match seen.kept {
+            NO_FOOTPRINT_CODE => {
+                let [low, high] = seen.bounds();
+                self.raster.footprint(low, high)
+            }
+            code => Footprint::from_code(code),
+        };
+        if !self.raster.shines() && !self.raster.is_open(&footprint) {
+            return;
+        }
         let ink = surfel_ink(seen, outline);
         self.raster.draw::<L, S>(&[(*shape, ink)], &footprint, seen.center);
     }
@@ -68,7 +89,7 @@ pub(crate) struct WindowVisitor<'a, L> {
 
 impl<L: Lanes> CutVisitor for WindowVisitor<'_, L> {
     #[inline(always)]
-    fn is_open(&mut self, low: Vec3, high: Vec3) -> bool {
+    fn is_open(&mut self, low: Vec3, high: Vec3, _: Kept) -> bool {
         !self.raster.is_closed() && self.window.is_met_by(low, high)
     }
 
@@ -94,7 +115,8 @@ impl<L: Lanes> CutVisitor for WindowVisitor<'_, L> {
 impl<L: Lanes> SurfelPen for WindowVisitor<'_, L> {
     #[inline(always)]
     fn draw<S: Shape>(&mut self, seen: &SurfelSeen<'_>, shape: &S, outline: &Outline) {
-        if self.window.is_met_by(outline.bounds.min, outline.bounds.max) {
+        let [low, high] = seen.bounds();
+        if self.window.is_met_by(low, high) {
             let veil = Veil { start: 0.0, end: outline.opacity, seed: seen.seed };
             self.raster.draw::<L, S>(self.window, shape, &veil);
         }

@@ -1,7 +1,7 @@
 //! The cube raster: which samples are covered and how far away, and the radiance of each texel.
 
 use crate::far::{FAR_PLANES, FarBlend, FarField};
-use crate::footprint::project_box;
+use crate::footprint::{BOXES, project_box, project_inside};
 use crate::lanes::{Lanes, SAMPLES};
 use crate::samples::{Veil, offset_sum, place, sample_near};
 use crate::shape::Shape;
@@ -74,7 +74,24 @@ pub struct Footprint {
     count: u8,
 }
 
+/// A footprint on one face, as one number.
+pub type FootprintCode = u64;
+
+/// The code of what falls on several faces.
+pub const NO_FOOTPRINT_CODE: FootprintCode = u64::MAX;
+
 impl Footprint {
+    /// The one of a code of one face.
+    #[must_use]
+    #[inline(always)]
+    pub fn from_code(code: FootprintCode) -> Self {
+        let byte = |index: u32| (code >> (8 * index)) as u8;
+        let (columns, rows) = ([byte(1), byte(2)], [byte(3), byte(4)]);
+        let mut ranges = [TexelRange::default(); 6];
+        ranges[0] = TexelRange { face: byte(0), columns, rows };
+        Self { ranges, count: 1 }
+    }
+
     #[inline(always)]
     fn ranges(&self) -> &[TexelRange] {
         &self.ranges[..usize::from(self.count)]
@@ -461,6 +478,32 @@ impl CubeRaster {
         footprint
     }
 
+    /// Codes of the footprints of eight boxes, relative to the receiver, as of [`Self::footprint`].
+    #[must_use]
+    #[inline(always)]
+    pub fn footprint_codes(
+        &self,
+        low: &[[f32; BOXES]; 3],
+        high: &[[f32; BOXES]; 3],
+    ) -> [FootprintCode; BOXES] {
+        let (faces, rectangles) = project_inside(low, high);
+        let last = self.n as i32 - 1;
+        let mut texels = [[0i32; BOXES]; 4];
+        for (texels, plane) in texels.iter_mut().zip(&rectangles) {
+            for i in 0..BOXES {
+                let texel = ((plane[i] + 1.0) * self.scale) as i32;
+                texels[i] = if texel < last { texel } else { last };
+            }
+        }
+        let mut codes = [0; BOXES];
+        for i in 0..BOXES {
+            let [u0, u1, v0, v1] = texels.map(|plane| plane[i] as u64);
+            let code = faces[i] as u64 | u0 << 8 | u1 << 16 | v0 << 24 | v1 << 32;
+            codes[i] = if faces[i] == 255 { NO_FOOTPRINT_CODE } else { code };
+        }
+        codes
+    }
+
     /// Whether any texel of a footprint is not yet covered.
     #[must_use]
     #[inline(always)]
@@ -611,6 +654,10 @@ impl CubeRaster {
                 let mut column = c0;
                 while column <= c1 {
                     let index = row_index * self.stride + column;
+                    if !self.shines && self.covered[index] == ALL {
+                        column += 1;
+                        continue;
+                    }
                     let x = self.sample_columns::<L>(column);
                     let w = w_row.add(L::splat(inverse.y).mul(x));
                     let met = shape.meets([L::splat(1.0), x, y], w);
@@ -620,9 +667,6 @@ impl CubeRaster {
                     }
                     met_here += met.count_ones();
                     let before = self.covered[index];
-                    if !self.shines && before == ALL {
-                        continue;
-                    }
                     let depths = &mut self.depths[index];
                     let covered = if opaque { met } else { met & ink.veil.samples(index) };
                     let new = covered & !before;

@@ -15,7 +15,9 @@ mod table;
 mod texel_light;
 mod window;
 
-pub use cube::{CubeRaster, Footprint, Ink, SHAPES_MAX, TexelChunk};
+pub use cube::{
+    CubeRaster, Footprint, FootprintCode, Ink, NO_FOOTPRINT_CODE, SHAPES_MAX, TexelChunk,
+};
 pub use far::{FAR_PLACES_MAX, FarBlend, FarField};
 pub use lanes::{Lanes, SAMPLES};
 pub use lobe::{LobeInk, LobeRaster};
