@@ -242,7 +242,8 @@ fn see_round(known: &KnownLobe, center: Vec3, half: Vec3, toward_receiver: Vec3)
     Some(Shown { piece, distance2, opacity, area, is_sheet, is_flat: false, is_front })
 }
 
-/// Reduces what sheets show that are not one flat piece to `1 − e^−τ`.
+/// Reduces what sheets show that are not one flat piece to `1 − e^−τ`. A flat lobe is another piece of cloth beside the largest as far as they
+/// cover different cells, and hides as it is.
 #[inline(always)]
 fn thin_sheets(shown: &mut [Shown], silhouette: impl Fn() -> f32) {
     let (mut total, mut flat, mut flat_index) = (0.0, 0.0, usize::MAX);
@@ -254,18 +255,34 @@ fn thin_sheets(shown: &mut [Shown], silhouette: impl Fn() -> f32) {
             }
         }
     }
-    let rest = total - flat;
+    if !(total - flat > 1e-3 * total) {
+        return;
+    }
+    // Of each, the share that lies anywhere in what is left of the box.
+    let mut loose = [1.0; LOBES_MAX];
+    let mut rest = 0.0;
+    let largest = shown.get(flat_index).map(|seen| (seen.piece.axis, seen.piece.stencil));
+    for (index, (seen, loose)) in shown.iter().zip(&mut loose).enumerate() {
+        if !seen.is_sheet || index == flat_index {
+            *loose = 0.0;
+        } else if let Some((axis, stencil)) = largest
+            && seen.is_flat
+            && seen.piece.axis == axis
+        {
+            *loose = seen.piece.stencil.share_in(stencil);
+        }
+        rest += *loose * seen.area;
+    }
     if !(rest > 1e-3 * total) {
         return;
     }
     let silhouette = silhouette();
-    let open = (silhouette - flat).max(0.0);
+    let open = (silhouette - (total - rest)).max(0.0);
     let factor = (open * (1.0 - (-rest / silhouette).exp()) / rest).min(1.0);
-    for (index, seen) in shown.iter_mut().enumerate() {
-        if seen.is_sheet && index != flat_index {
-            seen.opacity *= factor;
-            seen.piece.solid_angle *= factor;
-        }
+    for (seen, loose) in shown.iter_mut().zip(loose) {
+        let kept = 1.0 - loose * (1.0 - factor);
+        seen.opacity *= kept;
+        seen.piece.solid_angle *= kept;
     }
 }
 

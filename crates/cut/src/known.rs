@@ -641,7 +641,7 @@ const SOLID_FLAT_WIDTH: f32 = 0.7;
 const SHEET_FLAT_WIDTH: f32 = 0.1;
 
 /// Fill from which on a sheet has no holes.
-pub(crate) const SHEET_WHOLE: f32 = 0.95;
+pub(crate) const SHEET_WHOLE: f32 = 0.8;
 
 /// Thickness of a flat box, as a share of its largest edge; known to the builder.
 const THICKNESS: f32 = 1e-3;

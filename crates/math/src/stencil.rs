@@ -50,6 +50,13 @@ impl Stencil {
         0x0303 << (16 * (index / 4) + 2 * (index % 4))
     }
 
+    /// Share of its covered cells that another covers, too.
+    #[must_use]
+    #[inline(always)]
+    pub fn share_in(self, other: Self) -> f32 {
+        (self.0 & other.0).count_ones() as f32 / self.0.count_ones().max(1) as f32
+    }
+
     /// Share of the cells that are covered.
     #[must_use]
     #[inline]
