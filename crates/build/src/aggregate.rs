@@ -8,8 +8,10 @@ use pbgi_math::{
     Aabb, Stencil, StencilSum, Vec3, rectangle_half_edges, triangle_base, triangle_corners,
 };
 
-/// Covered share of a cell, over the mean of what is covered, from which on a solid thing's stencil has the cell.
-const SOLID_CELL: f32 = 0.35;
+/// Covered share of a cell, over the mean of what is covered, from which on a solid thing's stencil has the cell: less than half,
+/// since the rims of neighboring lobes meet in cells that neither fills. At the default cut the bias of occlusion is −2.8 % in Sponza and −1.1 % in the
+/// street with 0.35, −1.7 and −0.8 % with 0.42, −0.5 and −0.6 % with 0.5; dark places leak more the larger it is (p99 of the street 17, 21 and 25 %).
+const SOLID_CELL: f32 = 0.42;
 
 /// The same for sheets, whose area is kept: half cells at their rims.
 const SHEET_CELL: f32 = 0.5;

@@ -1,15 +1,13 @@
 //! Nodes and leaves as walks need them: decoded once, and kept for the receivers that come by next.
 
-use crate::metric::{NodeSeen, Threshold};
 use crate::cluster::Cluster;
+use crate::metric::{NodeSeen, Threshold};
 use crate::node::{NodePlace, Viewpoint, bad_link, larger, pin_sound_page, view_group};
 use crate::stats::CutStats;
 use pbgi_format::{
     CHILDREN_MAX, Channels, ChildLink, LeafSurfel, Lobe, PageId, SurfelLayout, SurfelPage,
 };
-use pbgi_math::{
-    Aabb, Stencil, Vec3, central_section_area, stencil_axis,
-};
+use pbgi_math::{Aabb, STENCIL_EDGE, Stencil, Vec3, central_section_area, stencil_axis};
 use pbgi_store::{Octree, Reader, StoreError};
 use std::collections::HashMap;
 
@@ -111,7 +109,9 @@ pub(crate) struct GroupSeen {
 pub(crate) struct KnownLobe {
     pub lobe: Lobe,
     pub is_flat: bool,
-    /// Of a flat one, the normal of its plane and a point of it, relative to the file's origin.
+    /// Of a flat one, the box around what its stencil leaves of its plane, relative to the file's origin.
+    pub bounds: Aabb,
+    /// The normal of that plane and a point of it.
     pub normal: Vec3,
     pub point: Vec3,
     pub axis: u8,
@@ -640,8 +640,8 @@ const SOLID_FLAT_WIDTH: f32 = 0.7;
 /// The same for sheets, whose parts lie in no plane where their normals differ: leaves. 0.05 and 0.25 change errors by a tenth of themselves.
 const SHEET_FLAT_WIDTH: f32 = 0.1;
 
-/// Fill from which on a sheet has no holes.
-pub(crate) const SHEET_WHOLE: f32 = 0.8;
+/// Fill from which on a sheet is one layer: with less, its parts lie above each other.
+const SHEET_WHOLE: f32 = 0.95;
 
 /// Thickness of a flat box, as a share of its largest edge; known to the builder.
 const THICKNESS: f32 = 1e-3;
@@ -653,7 +653,37 @@ pub(crate) fn thick_half(low: Vec3, high: Vec3) -> Vec3 {
     half.max(Vec3::splat(THICKNESS * half.max_element()))
 }
 
+/// Box around what a stencil of a box leaves of a plane.
+fn outline_bounds(normal: Vec3, point: Vec3, stencil: Stencil, around: &Aabb) -> Aabb {
+    let axis = stencil_axis(normal);
+    let mut found = *around;
+    let (mut height, mut reach) = (point[axis], 0.0);
+    for ([first, end], across) in stencil.bounds().into_iter().zip([(axis + 1) % 3, (axis + 2) % 3])
+    {
+        let cell = (around.max[across] - around.min[across]) * (1.0 / STENCIL_EDGE as f32);
+        let [low, high] = [first, end].map(|i| around.min[across] + cell * i as f32);
+        (found.min[across], found.max[across]) = (low, high);
+        let slope = normal[across] / normal[axis];
+        height -= slope * (0.5 * (low + high) - point[across]);
+        reach += 0.5 * slope.abs() * (high - low);
+    }
+    found.min[axis] = found.min[axis].max(height - reach);
+    found.max[axis] = found.max[axis].min(height + reach);
+    found
+}
+
 impl KnownLobe {
+    /// Share of the box around it that lies in the box around another lobe of its node, 0..=1; of what is thin along an axis as of what is thick.
+    #[inline(always)]
+    pub fn share_in(&self, other: &Self) -> f32 {
+        let low = self.bounds.min.max(other.bounds.min);
+        let high = self.bounds.max.min(other.bounds.max);
+        let (common, own) = (high - low, self.bounds.extent());
+        let least = THICKNESS * own.max_element();
+        let share = (common + least) / (own + least);
+        share.clamp(Vec3::ZERO, Vec3::ONE).element_product()
+    }
+
     /// A lobe of the node with this box.
     #[must_use]
     #[inline(always)]
@@ -672,6 +702,7 @@ impl KnownLobe {
         known.normal = normal;
         known.axis = stencil_axis(normal) as u8;
         known.point = bounds.center() + normal * (lobe.height * normal.abs().dot(half));
+        known.bounds = outline_bounds(normal, known.point, lobe.stencil, bounds);
         // Points spread evenly over the box's section with the plane: those over the box, laid into it.
         known.variance = half * half * (share * (1.0 / 3.0));
         known.spread2 = known.variance.dot(Vec3::ONE - normal * normal);

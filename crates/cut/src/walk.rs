@@ -268,9 +268,9 @@ impl<V: CutVisitor, T: Threshold> Walk<'_, '_, V, T> {
         }
         self.stats.culled_horizon += (nodes.len() - order.len()) as u64;
         order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let walked = order.iter().try_for_each(|(_, index)| {
-            self.go_from_node(&nodes[*index as usize], boxes)
-        });
+        let walked = order
+            .iter()
+            .try_for_each(|(_, index)| self.go_from_node(&nodes[*index as usize], boxes));
         self.scratch.nodes = order;
         walked
     }

@@ -9,8 +9,8 @@ use crate::reflect::{LobeScratch, LobeVisitor};
 use crate::visitors::{CubeVisitor, WindowVisitor};
 use pbgi_brdf::{ConvolutionTable, GgxLobe, convolve_diffuse};
 use pbgi_cut::{
-    CutReceiver, CutScratch, CutStats, CutVisitor, KNOWN_BYTES, Threshold, UniformThreshold, WalkFrom,
-    NodeReader, pick_cut,
+    CutReceiver, CutScratch, CutStats, CutVisitor, KNOWN_BYTES, NodeReader, Threshold,
+    UniformThreshold, WalkFrom, pick_cut,
 };
 use pbgi_math::{Vec3, sphere_sin2_for_solid_angle};
 use pbgi_raster::{

@@ -122,11 +122,8 @@ fn surfel_disk(seen: &SurfelSeen<'_>, receiver_normal: Vec3) -> (Disk, Vec3, f32
         radius = surfel.radius;
         opacity = (SHEET_RESERVE * area_true / radius).powi(2);
     }
-    let normal = if surfel.isotropic {
-        center * (-1.0 / seen.distance2.sqrt())
-    } else {
-        surfel.normal
-    };
+    let normal =
+        if surfel.isotropic { center * (-1.0 / seen.distance2.sqrt()) } else { surfel.normal };
     let inverse = normal * (1.0 / normal.dot(center));
     let distance_min = least_distance(surfel, center, receiver_normal);
     (Disk { inverse, center, radius, distance_min }, normal, opacity)

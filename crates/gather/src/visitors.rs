@@ -5,7 +5,8 @@ use pbgi_cut::{Boxes, Cluster, CutVisitor, Kept, NOTHING_KEPT, SurfelSeen};
 use pbgi_format::CHILDREN_MAX;
 use pbgi_math::Vec3;
 use pbgi_raster::{
-    CubeRaster, Footprint, Ink, Lanes, NO_FOOTPRINT_CODE, SHAPES_MAX, Section, Shape, Veil, Window, WindowRaster,
+    CubeRaster, Footprint, Ink, Lanes, NO_FOOTPRINT_CODE, SHAPES_MAX, Section, Shape, Veil, Window,
+    WindowRaster,
 };
 use std::marker::PhantomData;
 

@@ -57,6 +57,19 @@ impl Stencil {
         (self.0 & other.0).count_ones() as f32 / self.0.count_ones().max(1) as f32
     }
 
+    /// First column of its covered cells and one past the last, and the same of rows. Some cell is covered.
+    #[must_use]
+    #[inline(always)]
+    pub fn bounds(self) -> [[u32; 2]; 2] {
+        let mut columns = self.0 | self.0 >> 32;
+        columns |= columns >> 16;
+        columns = (columns | columns >> 8) & 0xff;
+        [
+            [columns.trailing_zeros(), 64 - columns.leading_zeros()],
+            [self.0.trailing_zeros() / 8, 8 - self.0.leading_zeros() / 8],
+        ]
+    }
+
     /// Share of the cells that are covered.
     #[must_use]
     #[inline]

@@ -164,12 +164,13 @@ mod tests {
             }
             let (faces, planes) = project_inside(&low, &high);
             for lane in 0..BOXES {
-                let corner = |of: &[[f32; BOXES]; 3]| Vec3::from_array([0, 1, 2].map(|i| of[i][lane]));
+                let corner =
+                    |of: &[[f32; BOXES]; 3]| Vec3::from_array([0, 1, 2].map(|i| of[i][lane]));
                 let expected = rectangles(corner(&low), corner(&high));
                 if faces[lane] == 255 {
-                    let on_border = expected.iter().all(|r| {
-                        larger(larger(-r.u0, r.u1), larger(-r.v0, r.v1)) >= INSIDE
-                    });
+                    let on_border = expected
+                        .iter()
+                        .all(|r| larger(larger(-r.u0, r.u1), larger(-r.v0, r.v1)) >= INSIDE);
                     assert!(expected.len() != 1 || on_border, "{expected:?}");
                     continue;
                 }
