@@ -1,7 +1,7 @@
 //! Lambertian irradiance, ambient occlusion, sky visibility and bent normal.
 
 use pbgi_math::{CubeFace, CubeTexel, Vec3};
-use pbgi_raster::{CubeRaster, CubeRasterTable, FarBlend, LANES};
+use pbgi_raster::{CubeRaster, CubeRasterTable, LANES};
 use std::f32::consts::PI;
 
 /// Distant light in the texels of a cube raster's memory layout; three channels.
@@ -140,8 +140,7 @@ fn dot(planes: &[[f32; LANES]; 3], n: Vec3) -> [f32; LANES] {
     sum
 }
 
-/// Sums a raster over the hemisphere around `normal`: `E = Σ L (n·d) dω`, with what lies `behind` it and the environment where
-/// texels are open. `plane` is the normal of the receiver's own surface, below which the raster counts samples as covered.
+/// Sums a raster over the hemisphere around `normal`: `E = Σ L (n·d) dω`, with the environment where texels are open. `plane` is the normal of the receiver's own surface, below which the raster counts samples as covered.
 ///
 /// Within a texel, the cosine times the solid angle of what is seen there, `n·d dω`, is taken as linear: the open share `o` of a texel weighs
 /// `o c + t·m`, where `c` is its integral, `t` its change toward the borders ([`ConvolutionTable`]) and `m` how far the open samples lie
@@ -156,7 +155,6 @@ pub fn convolve_diffuse(
     raster: &CubeRaster,
     table: &ConvolutionTable,
     environment: Option<&EnvironmentTexels>,
-    behind: Option<&FarBlend<'_>>,
     [normal, plane]: [Vec3; 2],
 ) -> Diffuse {
     let mut surface = [[0.0f32; LANES]; 3];
@@ -165,7 +163,7 @@ pub fn convolve_diffuse(
     let (mut open_sum, mut weight_sum) = ([0.0f32; LANES], [0.0f32; LANES]);
     let mut sky = [0.0f32; LANES];
     for (index, texels) in table.chunks.iter().enumerate() {
-        let Some(chunk) = raster.chunk(index, behind) else { continue };
+        let Some(chunk) = raster.chunk(index) else { continue };
         let cosine = dot(&texels.vector, normal);
         let (ru, rv) = (dot(&texels.reach_u, normal), dot(&texels.reach_v, normal));
         let mut weight = [0.0; LANES];
@@ -203,19 +201,6 @@ pub fn convolve_diffuse(
             for (sum, near) in surface.iter_mut().zip(&chunk.radiance) {
                 for i in 0..LANES {
                     sum[i] += near[i] * weight[i];
-                }
-            }
-        }
-        if chunk.is_lit_behind {
-            let [u, v] = &chunk.far_offset;
-            let mut far = [0.0; LANES];
-            for i in 0..LANES {
-                let placed = weight[i] + ru[i] * u[i] + rv[i] * v[i];
-                far[i] = if weight[i] > 0.0 && placed > 0.0 { placed } else { 0.0 };
-            }
-            for (sum, behind) in surface.iter_mut().zip(&chunk.far_radiance) {
-                for i in 0..LANES {
-                    sum[i] += behind[i] * far[i];
                 }
             }
         }
@@ -296,7 +281,7 @@ mod tests {
         for normal in normals() {
             run_wide(SimdLevel::Baseline, Draw(&mut raster, normal, &[]));
             let sums = ConvolutionTable::new(&table, normal);
-            let found = convolve_diffuse(&raster, &sums, Some(&sky), None, [normal; 2]);
+            let found = convolve_diffuse(&raster, &sums, Some(&sky), [normal; 2]);
             assert!((found.environment_irradiance[0] / (2.0 * PI) - 1.0).abs() < 1e-4);
             assert!((found.ambient_occlusion - 1.0).abs() < 1e-4);
             assert!(found.bent_normal.dot(normal) > 0.9999, "{}", found.bent_normal.dot(normal));
@@ -316,7 +301,7 @@ mod tests {
             let height = 0.05 * step as f32;
             let wall = (Vec3::X, Vec3::new(0.9, -2000.0, -1.0), Vec3::new(1.1, 2000.0, height));
             run_wide(SimdLevel::Baseline, Draw(&mut raster, Vec3::Z, &[wall]));
-            let found = convolve_diffuse(&raster, &sums, None, None, [Vec3::Z; 2]);
+            let found = convolve_diffuse(&raster, &sums, None, [Vec3::Z; 2]);
             let hidden = 0.5 * (1.0 - 1.0 / (1.0 + height * height).sqrt());
             let error = found.ambient_occlusion - (1.0 - hidden);
             let light = found.surface_irradiance[0] / (3.0 * PI) - hidden;

@@ -9,7 +9,6 @@ use pbgi_format::{
 };
 use pbgi_math::{Aabb, STENCIL_EDGE, Stencil, Vec3, central_section_area, stencil_axis};
 use pbgi_store::{Octree, Reader, StoreError};
-use std::collections::HashMap;
 
 /// No node is known by this number yet.
 const UNKNOWN: u32 = u32::MAX;
@@ -31,8 +30,7 @@ pub struct NodeReader<'a> {
     /// How often all was forgotten.
     generation: u32,
     groups: Vec<KnownGroup>,
-    /// The groups, by page and offset.
-    places: HashMap<(PageId, u32), u32>,
+    root: u32,
     lobes: Vec<KnownLobe>,
     leaves: Vec<KnownLeaf>,
     /// Surfels of the leaves, and their centers relative to the file's origin.
@@ -210,7 +208,7 @@ impl<'a> NodeReader<'a> {
             is_full: false,
             generation: 0,
             groups: Vec::new(),
-            places: HashMap::new(),
+            root: UNKNOWN,
             lobes: Vec::new(),
             leaves: Vec::new(),
             surfels: Vec::new(),
@@ -234,7 +232,7 @@ impl<'a> NodeReader<'a> {
     }
 
     fn weigh(&mut self) {
-        let bytes = self.groups.len() * (size_of::<KnownGroup>() + GROUP_MAP_BYTES)
+        let bytes = self.groups.len() * size_of::<KnownGroup>()
             + self.lobes.len() * size_of::<KnownLobe>()
             + self.leaves.len() * size_of::<KnownLeaf>()
             + self.surfels.len() * (size_of::<CutSurfel>() + size_of::<Vec3>());
@@ -246,7 +244,7 @@ impl<'a> NodeReader<'a> {
         self.is_full = false;
         self.generation = self.generation.wrapping_add(1);
         self.groups.clear();
-        self.places.clear();
+        self.root = UNKNOWN;
         self.lobes.clear();
         self.leaves.clear();
         self.surfels.clear();
@@ -256,37 +254,21 @@ impl<'a> NodeReader<'a> {
     /// The root's group.
     #[inline(always)]
     pub(crate) fn root(&mut self, stats: &mut CutStats) -> Result<GroupIndex, StoreError> {
-        let header = *self.octree().header();
-        let (page, offset) = (header.root_page, header.root_offset);
-        if let Some(&index) = self.places.get(&(page, offset)) {
-            return Ok(self.numbered(index));
+        if self.root == UNKNOWN {
+            let header = *self.octree().header();
+            let (page, offset) = (header.root_page, header.root_offset);
+            // The root's page is never left out.
+            let before = self.reader.stats();
+            self.reader.pin_page(page)?;
+            stats.levels[0].note(&before, &self.reader.stats());
+            self.root = self.read_group(NodePlace { page, offset, level: 1 }, stats)?;
         }
-        // The root's page is never left out.
-        let before = self.reader.stats();
-        self.reader.pin_page(page)?;
-        stats.levels[0].note(&before, &self.reader.stats());
-        let place = NodePlace { page, offset, level: 1 };
-        let index = self.read_group(place, stats)?;
-        Ok(self.numbered(index))
+        Ok(self.numbered(self.root))
     }
 
     #[inline(always)]
     fn numbered(&self, index: u32) -> GroupIndex {
         GroupIndex { index, generation: self.generation }
-    }
-
-    /// The group at a place; none in a damaged page that is left out.
-    #[inline(always)]
-    pub(crate) fn group_at(
-        &mut self,
-        place: NodePlace,
-        stats: &mut CutStats,
-    ) -> Result<Option<GroupIndex>, StoreError> {
-        let index = match self.places.get(&(place.page, place.offset)) {
-            Some(&index) => index,
-            None => self.read_group(place, stats)?,
-        };
-        Ok((index != MISSING).then(|| self.numbered(index)))
     }
 
     /// The number that a group has now, of this place and this number before.
@@ -298,8 +280,11 @@ impl<'a> NodeReader<'a> {
         stats: &mut CutStats,
     ) -> Result<bool, StoreError> {
         if at.generation != self.generation {
-            let Some(found) = self.group_at(place, stats)? else { return Ok(false) };
-            *at = found;
+            let index = self.read_group(place, stats)?;
+            if index == MISSING {
+                return Ok(false);
+            }
+            *at = self.numbered(index);
         }
         Ok(true)
     }
@@ -354,7 +339,6 @@ impl<'a> NodeReader<'a> {
         }
         let index = self.groups.len() as u32;
         self.groups.push(group);
-        self.places.insert((id, offset), index);
         self.weigh();
         Ok(index)
     }
@@ -401,7 +385,7 @@ impl<'a> NodeReader<'a> {
             return Err(reader.invalid_page(page, bad_link("tree: depth", depth)));
         }
         let place = NodePlace { page, offset, level: level + 1 };
-        Ok(self.group_at(place, stats)?.map_or(MISSING, |found| found.index))
+        self.read_group(place, stats)
     }
 
     /// The surfels of a child that is a leaf; none in a damaged page that is left out.
@@ -540,9 +524,6 @@ const OVERHANG: f32 = 0.125;
 pub(crate) fn open_margin(cover_margin: f32, edge: f32) -> f32 {
     cover_margin.min(OVERHANG * edge)
 }
-
-/// Bytes of an entry in the map of groups, with its empty neighbors.
-const GROUP_MAP_BYTES: usize = 2 * size_of::<((PageId, u32), u32)>();
 
 impl KnownLeaf {
     /// A number that tells its surfels apart from those of others.

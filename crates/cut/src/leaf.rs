@@ -1,19 +1,16 @@
 //! Surfels of a leaf, nearest first.
 
 use crate::known::{Boxes, KnownLeaf, NodeReader};
-use crate::node::Limits;
 use crate::own_surface::is_own_surface;
 use crate::stats::CutStats;
 use crate::walk::{CutReceiver, CutVisitor, SurfelSeen};
 use pbgi_format::CHILDREN_MAX;
-use pbgi_math::{Aabb, Vec3};
 
-/// Gives the visitor the surfels of a leaf that the receiver may see, of those that count if not all do.
+/// Gives the visitor the surfels of a leaf that the receiver may see.
 #[inline(always)]
 pub(crate) fn take_leaf<V: CutVisitor>(
     nodes: &NodeReader<'_>,
     leaf: KnownLeaf,
-    limits: Option<(&Limits, [&Aabb; 2])>,
     receiver: &CutReceiver,
     visitor: &mut V,
     order: &mut Vec<u64>,
@@ -23,11 +20,9 @@ pub(crate) fn take_leaf<V: CutVisitor>(
     let position = receiver.view.position;
     order.clear();
     for (index, center) in centers.iter().enumerate() {
-        if limits.is_none_or(|(limits, boxes)| limits.hold(*center, boxes)) {
-            let distance2 = (*center - position).length_squared();
-            // Numbers above 0 are ordered as their bits are; ties by place in the file, so that the order is total.
-            order.push(u64::from(distance2.to_bits()) << 32 | index as u64);
-        }
+        let distance2 = (*center - position).length_squared();
+        // Numbers above 0 are ordered as their bits are; ties by place in the file, so that the order is total.
+        order.push(u64::from(distance2.to_bits()) << 32 | index as u64);
     }
     if visitor.minds_order() {
         order.sort_unstable();
@@ -44,14 +39,7 @@ pub(crate) fn take_leaf<V: CutVisitor>(
             let (distance2, index) = (f32::from_bits((key >> 32) as u32), *key as u32);
             let surfel = &surfels[index as usize];
             let center = centers[index as usize] - position;
-            let is_hidden = if receiver.is_one {
-                is_own_surface(surfel, center, receiver)
-            } else {
-                // Far from all receivers there is no own surface, but what lies below the horizon.
-                let reach = Vec3::splat(surfel.radius);
-                receiver.view.top(center - reach, center + reach) <= 0.0
-            };
-            if distance2 == 0.0 || is_hidden {
+            if distance2 == 0.0 || is_own_surface(surfel, center, receiver) {
                 continue;
             }
             let seed = leaf.seed(index);

@@ -5,7 +5,6 @@
 #![forbid(unsafe_code)]
 
 mod cluster;
-mod divide;
 mod known;
 mod leaf;
 mod metric;
@@ -15,12 +14,8 @@ mod stats;
 mod walk;
 
 pub use cluster::{Cluster, Piece};
-pub use divide::{Division, Separation};
 pub use known::{Boxes, CutSurfel, KNOWN_BYTES, NodeReader, OUTLINE_RESERVE, SurfelShape};
 pub use metric::{NodeSeen, Threshold, UniformThreshold};
-pub use node::{NodeRef, Normals};
 pub use own_surface::OWN_SURFACE_COSINE;
 pub use stats::{CutStats, LEVELS, LevelStats};
-pub use walk::{
-    CutReceiver, CutScratch, CutVisitor, Kept, NOTHING_KEPT, SurfelSeen, WalkFrom, pick_cut,
-};
+pub use walk::{CutReceiver, CutScratch, CutVisitor, Kept, NOTHING_KEPT, SurfelSeen, pick_cut};

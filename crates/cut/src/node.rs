@@ -1,28 +1,9 @@
-//! Nodes by their places in the file, and how they are seen from a place.
+//! Nodes by their places in the file, and how they are seen from a receiver.
 
-use crate::known::KnownGroup;
-use crate::metric::{NodeSeen, Threshold};
 use crate::stats::{CutStats, LEVELS};
 use pbgi_format::{CHILDREN_MAX, Channels, FormatError, GroupView, NodePage, PageId};
-use pbgi_math::{Aabb, Vec3};
+use pbgi_math::Vec3;
 use pbgi_store::{PageRef, Reader, StoreError};
-
-/// A node, by its place in its group.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct NodeRef {
-    /// Box of its surfels, relative to the file's origin.
-    pub bounds: Aabb,
-    /// Its group.
-    pub(crate) group: NodePlace,
-    /// Which of its group's octants it is.
-    pub(crate) octant: u8,
-    pub(crate) is_leaf: bool,
-    pub(crate) is_plane: bool,
-    pub(crate) brightness: f32,
-    /// How far covering disks reach out of the boxes of its group's children at most.
-    pub(crate) cover_margin: f32,
-    pub(crate) limits: Limits,
-}
 
 /// Where a group lies in the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,142 +23,42 @@ impl NodePlace {
     }
 }
 
-/// Which surfels of a leaf count, by their distance from the box of a block and from that of the block around it: of a leaf that is near and far at
-/// once, some are drawn by one block and some by the other.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Limits {
-    /// Least distance from the inner box.
-    pub beyond: f32,
-    /// Distance from the inner box, and from the outer one, from which on they do not count.
-    pub within: f32,
-    pub outer_within: f32,
-}
-
-impl Limits {
-    pub const NONE: Self = Self { beyond: 0.0, within: f32::INFINITY, outer_within: f32::INFINITY };
-
-    /// Whether a surfel with this center counts.
-    #[inline(always)]
-    pub fn hold(&self, center: Vec3, [inner, outer]: [&Aabb; 2]) -> bool {
-        let point = Aabb { min: center, max: center };
-        let apart = distance(&point, inner);
-        apart >= self.beyond && apart < self.within && distance(&point, outer) < self.outer_within
-    }
-}
-
-/// Distance between two boxes.
-#[inline(always)]
-pub(crate) fn distance(a: &Aabb, b: &Aabb) -> f32 {
-    (a.min - b.max).max(b.min - a.max).max(Vec3::ZERO).length()
-}
-
-/// A box around unit vectors: the normals of one receiver or of many.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Normals {
-    low: Vec3,
-    high: Vec3,
-}
-
-impl Normals {
-    /// Of one receiver.
-    #[must_use]
-    #[inline(always)]
-    pub fn one(normal: Vec3) -> Self {
-        Self { low: normal, high: normal }
-    }
-
-    #[inline(always)]
-    pub(crate) fn first(&self) -> Vec3 {
-        self.low
-    }
-
-    /// Of many; everything, where there are none.
-    #[must_use]
-    pub fn around(normals: impl Iterator<Item = Vec3>) -> Self {
-        let empty = Self { low: Vec3::INFINITY, high: Vec3::NEG_INFINITY };
-        let all = normals.fold(empty, |b, n| Self { low: b.low.min(n), high: b.high.max(n) });
-        if all.low.x <= all.high.x { all } else { Self { low: Vec3::NEG_ONE, high: Vec3::ONE } }
-    }
-
-    /// No less than the largest n·p of all normals and points of a box.
-    #[must_use]
-    #[inline(always)]
-    pub fn top(&self, low: Vec3, high: Vec3) -> f32 {
-        let (a, b) = (self.low, self.high);
-        (a * low).max(a * high).max((b * low).max(b * high)).element_sum()
-    }
-}
-
-/// From where groups are looked at.
+/// From where nodes are looked at.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Viewpoint {
     pub position: Vec3,
-    /// Where receivers lie that `position` stands for, relative to it.
-    pub reach: Aabb,
-    pub normals: Normals,
-    pub planes: Normals,
+    /// The normal it is shaded with, and that of its surface.
+    pub normal: Vec3,
+    pub plane: Vec3,
 }
 
 impl Viewpoint {
-    /// Largest height of a box, relative to the position, over the horizon of any receiver.
-    #[inline(always)]
-    pub fn top(&self, low: Vec3, high: Vec3) -> f32 {
-        let (low, high) = (low - self.reach.max, high - self.reach.min);
-        let top = self.normals.top(low, high);
-        if self.planes == self.normals { top } else { top.min(self.planes.top(low, high)) }
-    }
-
-    /// [`Self::top`] of eight boxes at a time.
+    /// Largest heights of eight boxes, relative to the position, over the lower of the two horizons: what is below either is not seen.
     #[inline(always)]
     pub fn tops(
         &self,
         low: &[[f32; CHILDREN_MAX]; 3],
         high: &[[f32; CHILDREN_MAX]; 3],
     ) -> [f32; CHILDREN_MAX] {
-        let over = |normals: &Normals| {
+        let over = |normal: Vec3| {
             let mut tops = [0.0; CHILDREN_MAX];
             for axis in 0..3 {
-                let (a, b) = (normals.low[axis], normals.high[axis]);
-                let (far, near) = (self.reach.max[axis], self.reach.min[axis]);
                 for lane in 0..CHILDREN_MAX {
-                    let (low, high) = (low[axis][lane] - far, high[axis][lane] - near);
-                    let of_a = larger(a * low, a * high);
-                    let of_b = larger(b * low, b * high);
-                    tops[lane] += larger(of_a, of_b);
+                    let (low, high) = (low[axis][lane], high[axis][lane]);
+                    tops[lane] += larger(normal[axis] * low, normal[axis] * high);
                 }
             }
             tops
         };
-        let mut tops = over(&self.normals);
-        if self.planes != self.normals {
-            let others = over(&self.planes);
+        let mut tops = over(self.normal);
+        if self.plane != self.normal {
+            let others = over(self.plane);
             for lane in 0..CHILDREN_MAX {
                 tops[lane] = -larger(-tops[lane], -others[lane]);
             }
         }
         tops
     }
-
-    /// A node as a threshold sees it.
-    #[inline(always)]
-    pub fn see(&self, low: Vec3, high: Vec3, is_plane: bool, brightness: f32) -> NodeSeen {
-        let (center, half) = ((low + high) * 0.5, (high - low) * 0.5);
-        NodeSeen {
-            to_center: center,
-            distance2: center.length_squared(),
-            radius2: half.length_squared(),
-            top: self.top(low, high),
-            is_plane,
-            brightness,
-        }
-    }
-}
-
-/// What becomes of a node that is seen: dropped, or too large to be taken as one.
-#[inline(always)]
-pub(crate) fn judge<T: Threshold>(seen: &NodeSeen, threshold: &T) -> (bool, bool) {
-    let limit = threshold.sin2_max(seen) * seen.distance2;
-    (seen.top <= 0.0 || !threshold.is_wanted(seen), seen.radius2 > limit)
 }
 
 /// The group at a place of a page.
@@ -195,24 +76,6 @@ pub(crate) fn view_group<'p>(
         Ok((view, group))
     });
     group.map_err(|error| reader.invalid_page(page_id, error))
-}
-
-impl KnownGroup {
-    /// A child that is not below the horizon, to walk from later.
-    #[inline(always)]
-    pub fn node(&self, octant: u8) -> NodeRef {
-        let index = self.index(octant);
-        NodeRef {
-            bounds: self.bounds(index),
-            group: self.place,
-            octant,
-            is_leaf: self.leaves >> octant & 1 != 0,
-            is_plane: self.planes >> index & 1 != 0,
-            brightness: self.brightness[index],
-            cover_margin: self.cover_margin,
-            limits: Limits::NONE,
-        }
-    }
 }
 
 /// The larger of two numbers, in one instruction: neither is none.

@@ -47,7 +47,7 @@ fn reach_along(surfel: &CutSurfel, direction: Vec3) -> f32 {
 /// normal, by more than codes are off by, and above the horizon of its shading normal. Disks reach over what they stand for, and keep a distance.
 #[inline(always)]
 pub(crate) fn is_own_surface(surfel: &CutSurfel, center: Vec3, receiver: &CutReceiver) -> bool {
-    let plane = receiver.plane;
+    let plane = receiver.view.plane;
     let height = center.dot(plane);
     // Most are well above.
     if height > surfel.radius && height > receiver.surfel_bias * surfel.radius {

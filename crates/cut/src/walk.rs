@@ -1,25 +1,21 @@
 //! The walk: depth first, children front to back.
 
 use crate::cluster::Cluster;
-use crate::known::{Boxes, CutSurfel, GroupIndex, NodeReader, open_margin};
+use crate::known::{Boxes, CutSurfel, GroupIndex, NodeReader};
 use crate::leaf::take_leaf;
 use crate::metric::Threshold;
-use crate::node::{Limits, NodePlace, NodeRef, Normals, Viewpoint, judge};
+use crate::node::{NodePlace, Viewpoint};
 use crate::stats::CutStats;
 use pbgi_format::CHILDREN_MAX;
-use pbgi_math::{Aabb, Vec3};
+use pbgi_math::Vec3;
 use pbgi_store::StoreError;
 
 /// The place a cut is picked for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CutReceiver {
     pub(crate) view: Viewpoint,
-    /// Unit normal of the surface it lies on.
-    pub(crate) plane: Vec3,
     /// Surfels that rise no more than this above the receiver's plane, in units of their radius, are its own surface.
     pub(crate) surfel_bias: f32,
-    /// Whether it stands for itself alone.
-    pub(crate) is_one: bool,
 }
 
 impl CutReceiver {
@@ -28,35 +24,21 @@ impl CutReceiver {
     #[must_use]
     #[inline(always)]
     pub fn new(position: Vec3, normal: Vec3, plane: Vec3, surfel_bias: f32) -> Self {
-        let view = Viewpoint {
-            position,
-            reach: Aabb { min: Vec3::ZERO, max: Vec3::ZERO },
-            normals: Normals::one(normal),
-            planes: Normals::one(plane),
-        };
-        Self { view, plane, surfel_bias, is_one: true }
+        Self { view: Viewpoint { position, normal, plane }, surfel_bias }
     }
 
-    /// A place that stands for receivers in a box `around` it, with these normals.
-    #[must_use]
-    pub fn standing_for(position: Vec3, around: &Aabb, normals: Normals) -> Self {
-        let reach = Aabb { min: around.min - position, max: around.max - position };
-        let view = Viewpoint { position, reach, normals, planes: normals };
-        Self { view, plane: Vec3::ZERO, surfel_bias: 0.0, is_one: false }
-    }
-
-    /// Unit normal of the surface it lies on; 0 for a place that stands for many.
+    /// Unit normal of the surface it lies on.
     #[must_use]
     #[inline(always)]
     pub fn plane(&self) -> Vec3 {
-        self.plane
+        self.view.plane
     }
 
-    /// Unit normal it is shaded with, of a receiver that stands for itself alone.
+    /// Unit normal it is shaded with.
     #[must_use]
     #[inline(always)]
     pub fn normal(&self) -> Vec3 {
-        self.view.normals.first()
+        self.view.normal
     }
 
     /// Its position.
@@ -134,16 +116,6 @@ struct Frame {
 pub struct CutScratch {
     frames: Vec<Frame>,
     order: Vec<u64>,
-    nodes: Vec<(f32, u32)>,
-}
-
-/// Where a walk begins.
-#[derive(Clone, Copy, Debug)]
-pub enum WalkFrom<'n> {
-    /// At the root of the file.
-    Root,
-    /// At these nodes, none of which is in another, for a block with this box in a block with the other.
-    Nodes(&'n [NodeRef], [&'n Aabb; 2]),
 }
 
 /// Walks the octree, octants front to back, and gives the visitor every node or surfel of the cut.
@@ -152,7 +124,7 @@ pub enum WalkFrom<'n> {
 /// below it, whose pages are never read; small enough for `threshold`, it is taken as one; a leaf
 /// gives its surfels, nearest first; else the walk descends. Seen from any point, an octant whose
 /// index differs from the receiver's own octant in fewer planes is never behind one that differs in
-/// those and more: visiting `step XOR own` in ascending `step` is front to back. Nodes to begin at are taken by the distance of their boxes. What
+/// those and more: visiting `step XOR own` in ascending `step` is front to back. What
 /// lies in damaged pages that are skipped counts as nothing; the root's page is never skipped.
 ///
 /// # Errors
@@ -161,7 +133,6 @@ pub enum WalkFrom<'n> {
 #[inline(always)]
 pub fn pick_cut<V: CutVisitor, T: Threshold>(
     nodes: &mut NodeReader<'_>,
-    from: WalkFrom<'_>,
     receiver: &CutReceiver,
     threshold: &T,
     visitor: &mut V,
@@ -170,21 +141,9 @@ pub fn pick_cut<V: CutVisitor, T: Threshold>(
 ) -> Result<(), StoreError> {
     let mut walk = Walk { nodes, receiver, threshold, visitor, scratch, stats };
     walk.scratch.frames.clear();
-    match from {
-        WalkFrom::Root => {
-            let root = walk.nodes.root(walk.stats)?;
-            walk.enter(root);
-            walk.go()
-        }
-        WalkFrom::Nodes(nodes, boxes) => walk.go_from(nodes, boxes),
-    }
-}
-
-/// What nodes are ordered by, nearest first: the distance of the nearest point of their box, and a little of that of its middle.
-#[inline(always)]
-fn nearness(low: Vec3, high: Vec3) -> f32 {
-    let nearest = low.max(-high).max(Vec3::ZERO).length();
-    nearest + 0.25 * ((low + high) * 0.5).length()
+    let root = walk.nodes.root(walk.stats)?;
+    walk.enter(root);
+    walk.go()
 }
 
 /// The state of a walk.
@@ -198,13 +157,11 @@ struct Walk<'w, 'a, V, T> {
 }
 
 /// A child of a group that is not below the horizon.
-struct Child<'n> {
+struct Child {
     group: GroupIndex,
     place: NodePlace,
     octant: u8,
     is_large: bool,
-    /// Which of its surfels count, if not all.
-    limits: Option<(&'n Limits, [&'n Aabb; 2])>,
 }
 
 impl<V: CutVisitor, T: Threshold> Walk<'_, '_, V, T> {
@@ -249,63 +206,14 @@ impl<V: CutVisitor, T: Threshold> Walk<'_, '_, V, T> {
                 self.stats.culled_opaque += 1;
                 continue;
             }
-            self.take(&Child { group, place, octant, is_large, limits: None })?;
+            self.take(&Child { group, place, octant, is_large })?;
         }
-    }
-
-    /// Walks from nodes on, the nearest first.
-    #[inline(always)]
-    fn go_from(&mut self, nodes: &[NodeRef], boxes: [&Aabb; 2]) -> Result<(), StoreError> {
-        // What is dropped is dropped before its page is asked for.
-        let view = &self.receiver.view;
-        let mut order = std::mem::take(&mut self.scratch.nodes);
-        order.clear();
-        for (index, node) in nodes.iter().enumerate() {
-            let (low, high) = (node.bounds.min - view.position, node.bounds.max - view.position);
-            if view.top(low, high) > 0.0 {
-                order.push((nearness(low, high), index as u32));
-            }
-        }
-        self.stats.culled_horizon += (nodes.len() - order.len()) as u64;
-        order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let walked = order
-            .iter()
-            .try_for_each(|(_, index)| self.go_from_node(&nodes[*index as usize], boxes));
-        self.scratch.nodes = order;
-        walked
-    }
-
-    /// Walks from one node on.
-    #[inline(always)]
-    fn go_from_node(&mut self, node: &NodeRef, boxes: [&Aabb; 2]) -> Result<(), StoreError> {
-        let view = &self.receiver.view;
-        let (low, high) = (node.bounds.min - view.position, node.bounds.max - view.position);
-        let seen = view.see(low, high, node.is_plane, node.brightness);
-        let (is_dropped, is_large) = judge(&seen, self.threshold);
-        self.stats.nodes_visited += 1;
-        if is_dropped {
-            return Ok(());
-        }
-        let edge = (high - low).max_element();
-        let margin = match is_large {
-            true => open_margin(node.cover_margin, edge),
-            false => Cluster::REACH * edge,
-        };
-        if !self.visitor.is_open(low - margin, high + margin, NOTHING_KEPT) {
-            self.stats.culled_opaque += 1;
-            return Ok(());
-        }
-        let (place, octant) = (node.group, node.octant);
-        let Some(group) = self.nodes.group_at(place, self.stats)? else { return Ok(()) };
-        let limits = (node.limits != Limits::NONE).then_some((&node.limits, boxes));
-        self.take(&Child { group, place, octant, is_large, limits })?;
-        self.go()
     }
 
     /// Takes a node as one, or the surfels of a leaf, or goes on with its children.
     #[inline(always)]
-    fn take(&mut self, child: &Child<'_>) -> Result<(), StoreError> {
-        let &Child { group, place, octant, limits, .. } = child;
+    fn take(&mut self, child: &Child) -> Result<(), StoreError> {
+        let &Child { group, place, octant, .. } = child;
         let known = self.nodes.group(group);
         let (index, is_leaf) = (known.index(octant), known.leaves >> octant & 1 != 0);
         if !child.is_large {
@@ -319,7 +227,7 @@ impl<V: CutVisitor, T: Threshold> Walk<'_, '_, V, T> {
         } else if is_leaf {
             if let Some(leaf) = self.nodes.leaf(group, index, self.stats)? {
                 let Self { nodes, receiver, visitor, scratch, stats, .. } = self;
-                take_leaf(nodes, leaf, limits, receiver, *visitor, &mut scratch.order, stats);
+                take_leaf(nodes, leaf, receiver, *visitor, &mut scratch.order, stats);
             }
         } else if let Some(child) = self.nodes.child(group, index, self.stats)? {
             self.enter(child);

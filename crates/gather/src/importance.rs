@@ -12,7 +12,7 @@
 
 use crate::lamps::Lamps;
 use pbgi_brdf::GgxLobe;
-use pbgi_cut::{NodeSeen, Separation, Threshold};
+use pbgi_cut::{NodeSeen, Threshold};
 use pbgi_light::EnvironmentPyramid;
 use pbgi_math::{Vec3, luminance};
 use std::f32::consts::PI;
@@ -212,25 +212,6 @@ impl Threshold for CubeThreshold<'_> {
             factor *= PLANE_FACTOR;
         }
         slide(self.texel_sr, self.user_sr, factor)
-    }
-}
-
-/// What is far from a block of receivers: beyond the distance at which an edge moves by the parallax allowed, and farther where much light is at
-/// stake, as nodes are smaller there.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct ParallaxSeparation<'a> {
-    /// Extent of the block over the parallax.
-    pub distance: f32,
-    pub stakes: Stakes<'a>,
-    pub lamps: &'a Lamps,
-}
-
-impl Separation for ParallaxSeparation<'_> {
-    #[inline(always)]
-    fn distance_min(&self, node: &NodeSeen) -> f32 {
-        let factor = self.stakes.factor(node, self.lamps.behind(node));
-        // Factors are of solid angles.
-        if factor < 1.0 { self.distance / factor.sqrt() } else { self.distance }
     }
 }
 

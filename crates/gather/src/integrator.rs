@@ -1,6 +1,5 @@
 //! One receiver: its cut drawn into its raster, over what its block has drawn and the environment, times its BRDF.
 
-use crate::block::Blocks;
 use crate::importance::{CubeThreshold, ImportanceTerms, LobeThreshold, Stakes};
 use crate::lamps::{LampThreshold, LampVisitor, Lamps};
 use crate::light::{PreparedLight, PreparedPeak};
@@ -10,12 +9,11 @@ use crate::visitors::{CubeVisitor, WindowVisitor};
 use pbgi_brdf::{ConvolutionTable, GgxLobe, convolve_diffuse};
 use pbgi_cut::{
     CutReceiver, CutScratch, CutStats, CutVisitor, KNOWN_BYTES, NodeReader, Threshold,
-    UniformThreshold, WalkFrom, pick_cut,
+    UniformThreshold, pick_cut,
 };
 use pbgi_math::{Vec3, sphere_sin2_for_solid_angle};
 use pbgi_raster::{
-    CubeRaster, CubeRasterTable, FarBlend, FarField, Footprint, Lanes, SimdLevel, WideKernel,
-    WindowRaster, run_wide,
+    CubeRaster, CubeRasterTable, Footprint, Lanes, SimdLevel, WideKernel, WindowRaster, run_wide,
 };
 use pbgi_store::{Reader, StoreError};
 use std::marker::PhantomData;
@@ -47,9 +45,6 @@ pub struct GatherSettings {
     /// Disks that rise less than this share of their radius above the receiver's plane
     /// are its own surface.
     pub bias: f32,
-    /// Extent of a block of receivers, over the distance of what is drawn once for all of them: by so much, in radians, directions differ over
-    /// it. 0 draws all for each.
-    pub parallax: f32,
     /// Bytes of decoded nodes to keep for the receivers that come next; results do not depend on it.
     pub node_bytes: usize,
     /// Which light is looked for; what is not is 0.
@@ -60,18 +55,6 @@ pub struct GatherSettings {
     pub simd: SimdLevel,
 }
 
-impl GatherSettings {
-    /// The parallax to share with at this solid angle of nodes: twice the half-angle that a node may have, since blending is of second order in
-    /// it, up to where places no longer stand for what lies between them.
-    #[must_use]
-    pub fn shared_parallax(solid_angle_sr: f32) -> f32 {
-        (2.0 * (solid_angle_sr * std::f32::consts::FRAC_1_PI).sqrt()).clamp(0.02, PARALLAX_MAX)
-    }
-}
-
-/// Largest parallax of blocks that is sensible.
-const PARALLAX_MAX: f32 = 0.6;
-
 impl Default for GatherSettings {
     fn default() -> Self {
         Self {
@@ -80,7 +63,6 @@ impl Default for GatherSettings {
             raster_edge: 16,
             lobe_level: 3,
             bias: 0.4,
-            parallax: 0.0,
             node_bytes: KNOWN_BYTES,
             parts: GatherParts::All,
             up: Vec3::Y,
@@ -92,7 +74,7 @@ impl Default for GatherSettings {
 /// Share of a window's texel that a node may span to be drawn as one.
 const WINDOW_TEXEL_SHARE: f32 = 0.5;
 
-/// Everything one thread needs to gather for receivers, one after the other or in blocks.
+/// Everything one thread needs to gather for receivers, one after the other.
 pub struct Gatherer<'a> {
     pub(crate) walker: Walker<'a>,
     pub(crate) settings: GatherSettings,
@@ -103,9 +85,8 @@ pub struct Gatherer<'a> {
     lobe: LobeScratch,
     /// What importance weighs brightness by; found by the first gather.
     stakes: Option<Stakes<'a>>,
-    /// What shines brightly around the receiver, or the block, that is gathered for.
+    /// What shines brightly around the receiver that is gathered for.
     pub(crate) lamps: Lamps,
-    pub(crate) blocks: Blocks,
 }
 
 impl<'a> Gatherer<'a> {
@@ -127,7 +108,6 @@ impl<'a> Gatherer<'a> {
             settings: *settings,
             light,
             raster: CubeRaster::new(&table, shines),
-            blocks: if settings.parallax > 0.0 { Blocks::new(&table) } else { Blocks::default() },
             table: ConvolutionTable::new(&table, settings.up),
             lobe: LobeScratch::new(settings.lobe_level),
             stakes: None,
@@ -149,53 +129,21 @@ impl<'a> Gatherer<'a> {
     ///
     /// If a page cannot be read or contradicts itself.
     pub fn gather(&mut self, receiver: &Receiver) -> Result<Shading, StoreError> {
-        let place = self.cut_receiver(receiver);
-        // Only the cube asks for them.
-        if self.settings.parts != GatherParts::Sharp {
-            self.find_lamps(&place)?;
-        }
-        self.gather_near(receiver, WalkFrom::Root, None)
-    }
-
-    /// Gathers for a receiver what is near to it, over what lies `behind`.
-    pub(crate) fn gather_near(
-        &mut self,
-        receiver: &Receiver,
-        from: WalkFrom<'_>,
-        behind: Option<&FarBlend<'_>>,
-    ) -> Result<Shading, StoreError> {
         let before = self.walker.stats.cut_size();
         let mut shading = Shading::default();
         if self.settings.parts != GatherParts::Sharp {
             let place = self.cut_receiver(receiver);
-            let to = CubeTo::Receiver { receiver, shading: &mut shading };
-            self.draw_cube(CubeKernel { place: &place, from, behind, to })?;
+            self.find_lamps(&place)?;
+            let (stakes, gatherer) = (self.stakes()?, &mut *self);
+            let kernel =
+                CubeKernel { gatherer, place: &place, receiver, shading: &mut shading, stakes };
+            run_wide(kernel.gatherer.settings.simd, kernel)?;
         }
         if self.settings.parts != GatherParts::Broad {
             self.gather_sharp(receiver, &mut shading)?;
         }
         shading.cut_size = (self.walker.stats.cut_size() - before) as u32;
         Ok(shading)
-    }
-
-    /// Draws what is far, as a place that stands for many receivers sees it, over what lies `behind`. Texels that none of them looks through are
-    /// not needed.
-    pub(crate) fn draw_far(
-        &mut self,
-        place: &CutReceiver,
-        from: WalkFrom<'_>,
-        behind: Option<&FarBlend<'_>>,
-        needed: &[bool],
-        field: &mut FarField,
-    ) -> Result<(), StoreError> {
-        let to = CubeTo::Place { needed, field };
-        self.draw_cube(CubeKernel { place, from, behind, to })
-    }
-
-    fn draw_cube(&mut self, kernel: CubeKernel<'_>) -> Result<(), StoreError> {
-        let stakes = self.stakes()?;
-        let gatherer = self;
-        run_wide(gatherer.settings.simd, DrawCube { gatherer, kernel, stakes })
     }
 
     /// Peaks of the environment and reflections, which each receiver looks for by itself.
@@ -307,13 +255,12 @@ impl Walker<'_> {
     #[inline(always)]
     fn pick<T: Threshold, V: CutVisitor>(
         &mut self,
-        from: WalkFrom<'_>,
         receiver: &CutReceiver,
         threshold: &T,
         visitor: &mut V,
     ) -> Result<(), StoreError> {
         let Self { nodes, scratch, stats } = self;
-        pick_cut(nodes, from, receiver, threshold, visitor, scratch, stats)
+        pick_cut(nodes, receiver, threshold, visitor, scratch, stats)
     }
 
     /// The same for a walk whose nodes are none of the cut; its requests for pages count.
@@ -324,52 +271,29 @@ impl Walker<'_> {
         visitor: &mut V,
     ) -> Result<(), StoreError> {
         let before = self.stats;
-        self.pick(WalkFrom::Root, receiver, threshold, visitor)?;
+        self.pick(receiver, threshold, visitor)?;
         self.stats = CutStats { levels: self.stats.levels, ..before };
         Ok(())
     }
 }
 
-/// For whom a cube is drawn.
-enum CubeTo<'k> {
-    /// One receiver: its raster is convolved.
-    Receiver { receiver: &'k Receiver, shading: &'k mut Shading },
-    /// A place that stands for many: its raster is kept.
-    Place { needed: &'k [bool], field: &'k mut FarField },
-}
-
-/// A cube to draw.
-struct CubeKernel<'k> {
-    place: &'k CutReceiver,
-    from: WalkFrom<'k>,
-    behind: Option<&'k FarBlend<'k>>,
-    to: CubeTo<'k>,
-}
-
 /// Everything but peaks and reflections, compiled for every SIMD level: the cut drawn into the cube, over the environment's base.
-struct DrawCube<'k, 'a> {
+struct CubeKernel<'k, 'a> {
     gatherer: &'k mut Gatherer<'a>,
-    kernel: CubeKernel<'k>,
+    place: &'k CutReceiver,
+    receiver: &'k Receiver,
+    shading: &'k mut Shading,
     stakes: Stakes<'a>,
 }
 
-impl WideKernel for DrawCube<'_, '_> {
+impl WideKernel for CubeKernel<'_, '_> {
     type Output = Result<(), StoreError>;
 
     #[inline(always)]
     fn run<L: Lanes>(self) -> Self::Output {
-        let Self { gatherer, kernel: CubeKernel { place, from, behind, to }, stakes } = self;
+        let Self { gatherer, place, receiver, shading, stakes } = self;
         let Gatherer { walker, settings, light, table, raster, lamps, .. } = gatherer;
-        let plane = match &to {
-            CubeTo::Receiver { receiver, .. } => {
-                raster.clear_above::<L>(receiver.normal, receiver.plane);
-                receiver.plane
-            }
-            CubeTo::Place { needed, .. } => {
-                raster.clear_all_around(needed);
-                Vec3::ZERO
-            }
-        };
+        raster.clear_above::<L>(receiver.normal, receiver.plane);
         let edge = settings.raster_edge as f32;
         let threshold = CubeThreshold {
             user_sr: settings.solid_angle_sr,
@@ -378,22 +302,16 @@ impl WideKernel for DrawCube<'_, '_> {
             stakes,
             lamps,
         };
-        let mut visitor =
-            CubeVisitor::<L> { raster, footprint: Footprint::default(), plane, lanes: PhantomData };
-        walker.pick(from, place, &threshold, &mut visitor)?;
-        match to {
-            CubeTo::Receiver { receiver, shading } => {
-                let base = light.map(|light| &light.base);
-                let normals = [receiver.normal, receiver.plane];
-                let diffuse = convolve_diffuse(raster, table, base, behind, normals);
-                shading.surface_irradiance = diffuse.surface_irradiance;
-                shading.environment_irradiance = diffuse.environment_irradiance;
-                shading.ambient_occlusion = diffuse.ambient_occlusion;
-                shading.sky_visibility = diffuse.sky_visibility;
-                shading.bent_normal = diffuse.bent_normal;
-            }
-            CubeTo::Place { field, .. } => raster.far_field(behind, field),
-        }
+        let (footprint, plane) = (Footprint::default(), receiver.plane);
+        let mut visitor = CubeVisitor::<L> { raster, footprint, plane, lanes: PhantomData };
+        walker.pick(place, &threshold, &mut visitor)?;
+        let base = light.map(|light| &light.base);
+        let diffuse = convolve_diffuse(raster, table, base, [receiver.normal, receiver.plane]);
+        shading.surface_irradiance = diffuse.surface_irradiance;
+        shading.environment_irradiance = diffuse.environment_irradiance;
+        shading.ambient_occlusion = diffuse.ambient_occlusion;
+        shading.sky_visibility = diffuse.sky_visibility;
+        shading.bent_normal = diffuse.bent_normal;
         Ok(())
     }
 }
@@ -430,7 +348,7 @@ impl WideKernel for LobeKernel<'_, '_> {
         };
         let (user_sr, terms) = (settings.solid_angle_sr, settings.importance);
         let threshold = LobeThreshold { user_sr, texel_sr, lobe, axis, terms, stakes };
-        walker.pick(WalkFrom::Root, place, &threshold, &mut visitor)?;
+        walker.pick(place, &threshold, &mut visitor)?;
         (shading.reflected, shading.gloss_albedo) = scratch.resolve(*light);
         Ok(())
     }
@@ -464,6 +382,6 @@ impl WideKernel for PeakKernel<'_, '_> {
             plane: place.plane(),
             lanes: PhantomData,
         };
-        walker.pick(WalkFrom::Root, place, &threshold, &mut visitor)
+        walker.pick(place, &threshold, &mut visitor)
     }
 }

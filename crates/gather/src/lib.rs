@@ -4,7 +4,6 @@
 //! results.
 #![forbid(unsafe_code)]
 
-mod block;
 mod importance;
 mod integrator;
 mod lamps;
@@ -14,11 +13,10 @@ mod receiver;
 mod reflect;
 mod visitors;
 
-pub use block::block_bytes;
 pub use importance::ImportanceTerms;
 pub use integrator::{GatherParts, GatherSettings, Gatherer};
 pub use light::PreparedLight;
 pub use pbgi_brdf::Material;
-pub use pbgi_cut::{CutStats, LevelStats};
+pub use pbgi_cut::{CutStats, KNOWN_BYTES, LevelStats};
 pub use pbgi_raster::SimdLevel;
 pub use receiver::{Gloss, Receiver, Shading};

@@ -18,7 +18,7 @@ pub(crate) struct CubeVisitor<'a, L> {
     pub raster: &'a mut CubeRaster,
     /// Of the box that was asked about last.
     pub footprint: Footprint,
-    /// Of the receiver's surface; 0 for a place that stands for many.
+    /// Of the receiver's surface.
     pub plane: Vec3,
     pub lanes: PhantomData<L>,
 }

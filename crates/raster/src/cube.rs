@@ -1,6 +1,5 @@
 //! The cube raster: which samples are covered and how far away, and the radiance of each texel.
 
-use crate::far::{FAR_PLANES, FarBlend, FarField};
 use crate::footprint::{BOXES, project_box, project_inside};
 use crate::lanes::{Lanes, SAMPLES};
 use crate::samples::{Veil, offset_sum, place, sample_near};
@@ -42,19 +41,13 @@ pub struct TexelChunk {
     pub is_open: bool,
     /// Whether anything of it holds light; `radiance` is 0 if not.
     pub is_lit: bool,
-    /// Whether there may be light behind it; `far_radiance` is 0 if not.
-    pub is_lit_behind: bool,
-    /// Share of each texel, above the horizon, that surfaces cover.
+    /// Share of each texel, above the horizon, that surfaces cover; 0 where nothing of the chunk is open.
     pub covered: [f32; LANES],
     /// How far the middle of what is open lies from the middle of what is above the horizon, along u and v, in halves of a texel;
     /// times the open share of the whole texel.
     pub open_offset: [[f32; LANES]; 2],
     /// Radiance of the surfaces, weighted by the share of the texel they show, and by the cosine where they show it over the texel's mean.
     pub radiance: [[f32; LANES]; 3],
-    /// Radiance of the surfaces behind, weighted by the share of the texel they show.
-    pub far_radiance: [[f32; LANES]; 3],
-    /// Where in the texel that light comes from on the mean, along u and v, −1..=1 from border to border.
-    pub far_offset: [[f32; LANES]; 2],
 }
 
 /// Texels of a face.
@@ -259,8 +252,6 @@ pub struct CubeRaster {
     lamp_radiance: f32,
     lamp_irradiance: [f32; 3],
     normal: Vec3,
-    /// Whose samples are weighed: without a horizon nobody's, and light keeps its place in the texel.
-    has_horizon: bool,
     /// Samples of each texel that are covered, and those below the horizon.
     covered: Vec<u16>,
     /// Samples of each texel above the horizon.
@@ -298,7 +289,6 @@ impl CubeRaster {
             lamp_radiance: f32::INFINITY,
             lamp_irradiance: [0.0; 3],
             normal: Vec3::Z,
-            has_horizon: true,
             covered: vec![ALL; 6 * n * stride],
             above: vec![0; 6 * n * stride],
             lights: vec![TexelLight::NONE; if shines { 6 * n * stride } else { 0 }],
@@ -335,7 +325,6 @@ impl CubeRaster {
         self.lit.fill(0);
         self.lamp_irradiance = [0.0; 3];
         self.normal = normal;
-        self.has_horizon = true;
         for face in CubeFace::ALL {
             let horizon = FaceHorizon::new(normal, face, self.step);
             let own = (plane != normal).then(|| FaceHorizon::new(plane, face, self.step));
@@ -387,26 +376,6 @@ impl CubeRaster {
             (self.covered[index], self.above[index]) = (!open, above);
         }
         self.open[row_index] = bits;
-    }
-
-    /// Empties the raster for a place that stands for many receivers: nothing is below a horizon, and light keeps its place in the texel. Texels
-    /// for which `is_needed` is false, by their index in memory, count as covered.
-    #[inline(always)]
-    pub fn clear_all_around(&mut self, is_needed: &[bool]) {
-        self.lit.fill(0);
-        self.has_horizon = false;
-        for row in 0..6 * self.n {
-            let mut bits = 0;
-            for column in 0..self.n {
-                let index = row * self.stride + column;
-                let needed = is_needed[index];
-                // What is not needed holds no light either, which stale depths would decide on.
-                self.covered[index] = if needed { 0 } else { ALL };
-                self.above[index] = if needed { ALL } else { 0 };
-                bits |= u64::from(needed) << column;
-            }
-            self.open[row] = bits;
-        }
     }
 
     /// The light of a texel, to add to.
@@ -555,19 +524,6 @@ impl CubeRaster {
         let is_lamp = self.is_lamp(ink) && ink.solid_angle < LARGE_LAMP_SR;
         let per_sample = ink.solid_angle * self.inverse_solid_angles[index] / met as f32;
         let by_solid_angle = count as f32 * per_sample * SAMPLES as f32;
-        if !self.has_horizon {
-            let is_small = is_lamp || ink.solid_angle < SMALL_SR;
-            let (samples, shown) = if is_small {
-                (by_solid_angle, hit.visible)
-            } else {
-                (hit.new.count_ones() as f32, hit.new)
-            };
-            let inverse = 1.0 / larger_than_zero(shown.count_ones() as f32);
-            let place = offset_sum(shown).map(|sum| sum * inverse);
-            let light = self.light(index, row_index, column);
-            light.add_at(samples / SAMPLES as f32, &ink.radiance, place, is_lamp);
-            return;
-        }
         if is_lamp {
             let solid_angle = ink.solid_angle * count as f32 / met as f32;
             // Where it met samples of one texel only, their places say less of it than its own.
@@ -731,12 +687,6 @@ impl CubeRaster {
         let row_index = usize::from(face.0) * self.n + row;
         let place_in_texel = place_in_texel.map(|x| 2.0 * x - 1.0);
         let is_lamp = self.is_lamp(ink);
-        if !self.has_horizon {
-            let share = ink.solid_angle * self.inverse_solid_angles[index];
-            let light = self.light(index, row_index, column);
-            light.add_at(share, &ink.radiance, place_in_texel, is_lamp);
-            return;
-        }
         if is_lamp {
             let cosine = self.normal.dot(toward) / toward.length();
             self.shine_lamp([index, row_index, column], ink.solid_angle, cosine, &ink.radiance);
@@ -756,33 +706,18 @@ impl CubeRaster {
         open / larger_than_zero(self.above[index].count_ones() as f32)
     }
 
-    /// Texels `8 index ..` in memory, over what lies behind them; none where all of them are below the horizon.
+    /// Texels `8 index ..` in memory; none where all of them are below the horizon.
     #[must_use]
     #[inline(always)]
-    pub fn chunk(&self, index: usize, behind: Option<&FarBlend<'_>>) -> Option<TexelChunk> {
+    pub fn chunk(&self, index: usize) -> Option<TexelChunk> {
         let start = index * LANES;
         let above: &[u16; LANES] = self.above[start..start + LANES].try_into().ok()?;
         if *above == [0; LANES] {
             return None;
         }
-        let near: &[u16; LANES] = self.covered[start..start + LANES].try_into().ok()?;
+        let covered: &[u16; LANES] = self.covered[start..start + LANES].try_into().ok()?;
         let mut chunk = TexelChunk::default();
-        let mut covered = *near;
-        if let Some(behind) = behind {
-            let far = behind.masks(start);
-            for lane in 0..LANES {
-                covered[lane] |= far[lane];
-            }
-            if behind.shines() {
-                let mut through = [0.0; LANES];
-                for lane in 0..LANES {
-                    through[lane] = share_of_rest(far[lane], above[lane], near[lane]);
-                }
-                (chunk.far_radiance, chunk.far_offset) = behind.light(start, &through);
-                chunk.is_lit_behind = true;
-            }
-        }
-        chunk.is_open = covered != [ALL; LANES];
+        chunk.is_open = *covered != [ALL; LANES];
         if chunk.is_open {
             for lane in 0..LANES {
                 let open = (!covered[lane]).count_ones() as f32;
@@ -804,7 +739,7 @@ impl CubeRaster {
         if chunk.is_lit {
             for lane in (0..LANES).filter(|lane| lit >> lane & 1 != 0) {
                 let light = &self.lights[start + lane];
-                let whole = near[lane] == ALL;
+                let whole = covered[lane] == ALL;
                 let radiance = if whole { light.made_whole() } else { light.radiance };
                 for (plane, light) in chunk.radiance.iter_mut().zip(radiance) {
                     plane[lane] = light;
@@ -812,38 +747,6 @@ impl CubeRaster {
             }
         }
         Some(chunk)
-    }
-
-    /// What a place that stands for many receivers sees, to lie behind what is nearer to them, over what lies behind it in turn.
-    #[inline(always)]
-    pub fn far_field(&self, behind: Option<&FarBlend<'_>>, out: &mut FarField) {
-        out.resize(self.covered.len(), self.shines);
-        for start in (0..self.covered.len()).step_by(LANES) {
-            let near = &self.covered[start..start + LANES];
-            let lit = self.lit[start / self.stride] >> (start % self.stride) & ((1 << LANES) - 1);
-            let mut masks: [u16; LANES] = std::array::from_fn(|lane| near[lane]);
-            let mut light = [[0.0; LANES]; FAR_PLANES];
-            if let Some(behind) = behind {
-                let far = behind.masks(start);
-                if behind.shines() {
-                    let mut through = [0.0; LANES];
-                    for lane in 0..LANES {
-                        through[lane] = share_of_rest(far[lane], ALL, near[lane]);
-                    }
-                    light = behind.planes(start, &through);
-                }
-                for lane in 0..LANES {
-                    masks[lane] |= far[lane];
-                }
-            }
-            for lane in (0..LANES).filter(|lane| lit >> lane & 1 != 0) {
-                let own = self.lights[start + lane].spread(near[lane] == ALL);
-                for (plane, own) in light.iter_mut().zip(own) {
-                    plane[lane] += own;
-                }
-            }
-            out.set(start, &masks, &light);
-        }
     }
 
     /// Whether any piece may carry light.
@@ -858,17 +761,6 @@ impl CubeRaster {
 #[inline(always)]
 fn smaller_index(a: usize, b: usize) -> usize {
     if a < b { a } else { b }
-}
-
-/// Share of the light behind a texel that its own covered samples let through: light comes from the samples that are covered behind, of those
-/// above the horizon, or where there are none from all.
-#[inline(always)]
-fn share_of_rest(far: u16, above: u16, near: u16) -> f32 {
-    if near & above == 0 {
-        return 1.0;
-    }
-    let from = if far & above != 0 { far & above } else { above };
-    (from & !near).count_ones() as f32 / larger_than_zero(from.count_ones() as f32)
 }
 
 /// A count to divide by.

@@ -4,7 +4,6 @@
 #![deny(unsafe_code)]
 
 mod cube;
-mod far;
 mod footprint;
 mod lanes;
 mod lobe;
@@ -18,7 +17,6 @@ mod window;
 pub use cube::{
     CubeRaster, Footprint, FootprintCode, Ink, NO_FOOTPRINT_CODE, SHAPES_MAX, TexelChunk,
 };
-pub use far::{FAR_PLACES_MAX, FarBlend, FarField};
 pub use lanes::{Lanes, SAMPLES};
 pub use lobe::{LobeInk, LobeRaster};
 pub use samples::Veil;

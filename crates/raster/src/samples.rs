@@ -97,12 +97,6 @@ const RUNS: [[u16; SAMPLES + 1]; SAMPLES] = {
     runs
 };
 
-/// The first `count` samples, in the order that `key`, below 16, scrambles.
-#[inline(always)]
-pub(crate) fn run(key: usize, count: usize) -> u16 {
-    RUNS[key & 15][count]
-}
-
 /// What shares of a texel's samples a partly transparent piece covers: those from `start` to `end`, both
 /// 0..=1, in an order that `seed` scrambles. Pieces of one seed whose shares do not overlap cover different
 /// samples; pieces of different seeds cover samples independently of each other.

@@ -11,9 +11,6 @@ use std::time::Instant;
 /// Receivers of a batch: neighbors along the Morton curve, shaded by one worker.
 pub(crate) const BATCH_RECEIVERS: usize = 64;
 
-/// The same where they share as a block; results depend on it.
-pub(crate) const BLOCK_RECEIVERS: usize = 1024;
-
 /// Batches that may be looked at ahead of those given to workers.
 const BATCHES_AHEAD: usize = 8;
 
@@ -21,8 +18,6 @@ const BATCHES_AHEAD: usize = 8;
 pub(crate) struct Chunk<'r> {
     pub receivers: Cow<'r, [Receiver]>,
     pub order: Vec<u32>,
-    /// Receivers of a batch.
-    pub batch: usize,
 }
 
 /// A batch a worker has to shade: a range of its chunk's order.
@@ -102,7 +97,7 @@ impl<'r> Queue<'r> {
             let first = state.first;
             let mut entries = state.entries.iter_mut().enumerate();
             if let Some((at, entry)) = entries.find(|(_, e)| e.given < e.shadings.len()) {
-                let end = (entry.given + entry.chunk.batch).min(entry.shadings.len());
+                let end = (entry.given + BATCH_RECEIVERS).min(entry.shadings.len());
                 let range = entry.given..end;
                 entry.given = end;
                 let number = first + at as u64;
@@ -123,10 +118,9 @@ impl<'r> Queue<'r> {
             for entry in &mut state.entries {
                 let len = entry.shadings.len();
                 entry.ahead = entry.ahead.max(entry.given);
-                let batch = entry.chunk.batch;
-                let is_near = waiting + entry.ahead - entry.given < BATCHES_AHEAD * batch;
+                let is_near = waiting + entry.ahead - entry.given < BATCHES_AHEAD * BATCH_RECEIVERS;
                 if entry.ahead < len && is_near {
-                    let end = (entry.ahead + batch).min(len);
+                    let end = (entry.ahead + BATCH_RECEIVERS).min(len);
                     let middle = entry.chunk.order[(entry.ahead + end) / 2];
                     entry.ahead = end;
                     return Some((entry.chunk.clone(), middle));

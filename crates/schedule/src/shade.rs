@@ -1,6 +1,6 @@
 //! Receivers as a stream: chunks come in, neighbors go to workers in batches, results come out in the order of the receivers.
 
-use crate::queue::{BATCH_RECEIVERS, BLOCK_RECEIVERS, Chunk, Queue, StopOnDrop};
+use crate::queue::{Chunk, Queue, StopOnDrop};
 use crate::spread::Spread;
 use pbgi_gather::{CutStats, GatherSettings, Gatherer, PreparedLight, Receiver, Shading};
 use pbgi_math::{Aabb, RootCube};
@@ -16,7 +16,7 @@ pub const CHUNKS_IN_FLIGHT: usize = 2;
 pub const RECEIVER_BYTES_IN_FLIGHT: usize =
     size_of::<Receiver>() + size_of::<Shading>() + size_of::<(u64, u32)>() + size_of::<u32>();
 
-/// In which order the receivers of a chunk are shaded. Changes their results only where neighbors share.
+/// In which order the receivers of a chunk are shaded. Changes no result.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ReceiverOrder {
     /// Along the Morton curve, so that neighbors share pages.
@@ -132,7 +132,6 @@ pub struct Shaded<'s, T> {
 pub struct Feed<'q, 'r, T, E> {
     queue: &'q Queue<'r>,
     order: ReceiverOrder,
-    batch: usize,
     attached: VecDeque<T>,
     pushed: u64,
     take: &'q mut dyn FnMut(Shaded<'_, T>) -> Result<(), E>,
@@ -156,7 +155,7 @@ impl<'r, T, E: From<ScheduleError>> Feed<'_, 'r, T, E> {
         };
         self.pushed += receivers.len() as u64;
         self.attached.push_back(attached);
-        self.queue.push(Chunk { receivers, order, batch: self.batch });
+        self.queue.push(Chunk { receivers, order });
         Ok(())
     }
 
@@ -206,10 +205,8 @@ pub fn shade_stream<'r, T, E: From<ScheduleError>>(
         }
         let guard = StopOnDrop(&queue);
         let attached = VecDeque::with_capacity(CHUNKS_IN_FLIGHT);
-        let shares = options.gather.parallax > 0.0;
-        let batch = if shares { BLOCK_RECEIVERS } else { BATCH_RECEIVERS };
         let (queue, order, take) = (&queue, options.order, &mut take);
-        let mut feed = Feed { queue, order, batch, attached, pushed: 0, take };
+        let mut feed = Feed { queue, order, attached, pushed: 0, take };
         let fed = fill(&mut feed).and_then(|()| feed.drain());
         drop(guard);
         let join = |worker: std::thread::ScopedJoinHandle<'_, ShadeReport>| {
@@ -233,26 +230,27 @@ fn run_worker(
 ) -> ShadeReport {
     let mut gatherer = Gatherer::new(octree.reader(), &options.gather, light);
     let mut report = ShadeReport::default();
-    let (mut receivers, mut shadings) = (Vec::new(), Vec::new());
+    let mut shadings = Vec::new();
     let mut idle_ns = 0;
     loop {
         let (batch, waited_ns) = queue.next_batch();
         idle_ns += waited_ns;
         let Some(batch) = batch else { break };
-        if options.cancel.load(Ordering::Relaxed) {
-            queue.stop(Some(ScheduleError::Cancelled));
-            break;
-        }
-        receivers.clear();
-        receivers.extend(batch.indices().iter().map(|i| batch.chunk.receivers[*i as usize]));
         shadings.clear();
-        shadings.resize(receivers.len(), Shading::default());
-        if let Err(error) = gatherer.gather_block(&receivers, &mut shadings, options.cancel) {
-            queue.stop(Some(ScheduleError::Store(error)));
-            break;
+        for index in batch.indices() {
+            if options.cancel.load(Ordering::Relaxed) {
+                queue.stop(Some(ScheduleError::Cancelled));
+                break;
+            }
+            match gatherer.gather(&batch.chunk.receivers[*index as usize]) {
+                Ok(shading) => shadings.push(shading),
+                Err(error) => {
+                    queue.stop(Some(ScheduleError::Store(error)));
+                    break;
+                }
+            }
         }
-        if options.cancel.load(Ordering::Relaxed) {
-            queue.stop(Some(ScheduleError::Cancelled));
+        if shadings.len() < batch.indices().len() {
             break;
         }
         shadings.iter().for_each(|shading| report.cut_sizes.note(u64::from(shading.cut_size)));

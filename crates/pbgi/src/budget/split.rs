@@ -4,7 +4,7 @@ use crate::PbgiError;
 use crate::budget::resident::resident_bytes;
 use crate::figures::format_bytes;
 use crate::shade::ShadeSettings;
-use pbgi_gather::block_bytes;
+use pbgi_gather::KNOWN_BYTES;
 use serde::Serialize;
 use std::fmt;
 
@@ -17,6 +17,16 @@ const THREAD_BYTES: u64 = 2 << 20;
 
 /// Least page cache worth opening a file with.
 const CACHE_BYTES_MIN: u64 = 4 << 20;
+
+/// Least bytes of decoded nodes that a worker keeps.
+const NODE_BYTES_MIN: u64 = 128 << 10;
+
+/// Bytes of decoded nodes that each of so many workers keeps: all of them together no more than a sixteenth of the limit, if that is enough for the
+/// least.
+pub(crate) fn node_bytes(limit_bytes: u64, threads: usize) -> usize {
+    let each = limit_bytes / (16 * threads.max(1) as u64);
+    each.clamp(NODE_BYTES_MIN, KNOWN_BYTES as u64) as usize
+}
 
 /// The parts of a memory limit, in bytes. Their sum is the limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -43,8 +53,9 @@ impl MemorySplit {
     /// A split for what the process holds now, before frame and cache have their shares.
     pub(crate) fn measure(settings: &ShadeSettings) -> Self {
         let resident = resident_bytes().unwrap_or(PROGRAM_BYTES);
-        let blocks = if settings.share { block_bytes(settings.raster_edge) as u64 } else { 0 };
-        let workers = (THREAD_BYTES + blocks) * settings.threads as u64;
+        // Memory of what is kept grows by doubling.
+        let known = 2 * node_bytes(settings.memory_bytes, settings.threads) as u64;
+        let workers = (THREAD_BYTES + known) * settings.threads as u64;
         Self::new(settings.memory_bytes, resident + MARGIN_BYTES + workers)
     }
 

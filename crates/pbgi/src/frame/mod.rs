@@ -409,8 +409,7 @@ mod tests {
         for scene in [Some(&scene), None] {
             let make = |threads: usize, memory_bytes: u64| {
                 let mut request = request(&octree, scene);
-                request.settings =
-                    ShadeSettings { threads, memory_bytes, share: true, ..request.settings };
+                request.settings = ShadeSettings { threads, memory_bytes, ..request.settings };
                 FrameJob::prepare(&request, &cancel).unwrap().run(&progress).unwrap()
             };
             let (one, many) = (make(1, 4 << 30), make(3, 2 << 30));

@@ -211,7 +211,6 @@ pub(crate) fn frame_attributes(
         ("worldToCamera".to_owned(), Matrix(to_local(view.world_to_camera()))),
         ("worldToNDC".to_owned(), Matrix(to_local(view.world_to_ndc()))),
         ("pbgi:samples".to_owned(), Int(request.samples as i32)),
-        ("pbgi:share".to_owned(), Int(i32::from(request.settings.share))),
         ("pbgi:shadingRate".to_owned(), Float(request.shading_rate)),
     ];
     attributes.push(("pbgi:cutSizeMean".to_owned(), Float(report.cut_mean as f32)));

@@ -111,15 +111,13 @@ pub struct CheckReport {
     pub cut_mean: f64,
     /// Seconds the exhaustive gathers took.
     pub seconds: f64,
-    /// Where receivers share gathers: the error if each of the sample gathers for itself.
-    pub alone: Option<AloneReport>,
     /// Error of glossy reflections, if there are any.
-    pub gloss: Option<AloneReport>,
+    pub gloss: Option<GlossReport>,
 }
 
-/// Error of a part of the result: of gathers that are not shared, or of glossy reflections.
+/// Error of glossy reflections.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct AloneReport {
+pub struct GlossReport {
     /// Relative root mean square error; 0.01 is one percent.
     pub rrmse: f64,
     /// Mean error relative to the mean.
@@ -128,17 +126,7 @@ pub struct AloneReport {
     pub p99: f64,
 }
 
-impl AloneReport {
-    /// Compares the shadings of a sample, each gathered for itself, with the references.
-    ///
-    /// # Errors
-    ///
-    /// As [`CheckReport::new`].
-    pub(crate) fn new(alone: &[Shading], references: &[Shading]) -> Result<Self, MetricsError> {
-        let (ErrorMetrics { rrmse, bias, p99, .. }, _) = measure(alone.iter(), references)?;
-        Ok(Self { rrmse, bias, p99 })
-    }
-
+impl GlossReport {
     /// Compares what is reflected glossily; none where nothing is.
     fn of_gloss<'a>(
         results: impl Iterator<Item = &'a Shading>,
@@ -233,8 +221,7 @@ impl CheckReport {
             max,
             cut_mean: cuts / references.len().max(1) as f64,
             seconds: 0.0,
-            alone: None,
-            gloss: AloneReport::of_gloss(sample.iter().map(|s| &s.shading), references),
+            gloss: GlossReport::of_gloss(sample.iter().map(|s| &s.shading), references),
         })
     }
 }
@@ -299,7 +286,5 @@ mod tests {
         let report = CheckReport::new(&[sampled(open)], &[open]).unwrap();
         assert_eq!((report.quantity, report.rrmse), ("AO", 0.0));
         assert!(CheckReport::new(&[sampled(off)], &[Shading::default()]).is_err());
-        let alone = AloneReport::new(&[off, lit], &[lit, lit]).unwrap();
-        assert!((alone.bias - 0.05).abs() < 1e-6);
     }
 }

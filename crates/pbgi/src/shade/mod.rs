@@ -8,10 +8,10 @@ pub(crate) mod target;
 
 use crate::PbgiError;
 use crate::budget::reading::read_within;
-use crate::budget::split::MemorySplit;
+use crate::budget::split::{MemorySplit, node_bytes};
 use crate::figures::{format_bytes, format_count, format_seconds};
 use crate::progress::Progress;
-use crate::shade::check::{AloneReport, CheckReport, CheckSample};
+use crate::shade::check::{CheckReport, CheckSample};
 use crate::shade::statistics::{CacheReport, CutReport, LevelReport};
 use crate::shade::target::{Calibration, TargetReport};
 use pbgi_format::{Channels, Header};
@@ -219,8 +219,6 @@ pub struct ShadeSettings {
     pub importance: ImportanceTerms,
     /// Texels along a face of the cube raster, 1 to 64.
     pub raster_edge: usize,
-    /// Whether receivers that are near each other share what is far from them; else each draws all for itself.
-    pub share: bool,
     /// Glossy reflections, if any.
     pub gloss: Option<GlossSettings>,
     /// Surfels that rise less than this share of their radius above a receiver's tangent plane are its
@@ -257,7 +255,6 @@ impl Default for ShadeSettings {
             target_error: None,
             importance: gather.importance,
             raster_edge: gather.raster_edge,
-            share: false,
             gloss: None,
             bias: gather.bias,
             environment: None,
@@ -313,11 +310,7 @@ impl ShadeSettings {
             importance: self.importance,
             raster_edge: self.raster_edge,
             bias: self.bias,
-            parallax: if self.share {
-                GatherSettings::shared_parallax(self.solid_angle_sr)
-            } else {
-                0.0
-            },
+            node_bytes: node_bytes(self.memory_bytes, self.threads),
             up: up_axis(header),
             ..GatherSettings::default()
         }
@@ -440,16 +433,12 @@ impl<'a> Session<'a> {
         let calibration = Calibration {
             octree: &self.octree,
             light: self.light.as_ref(),
-            // The sample is too thin to share anything.
-            gather: GatherSettings { parallax: 0.0, ..self.gather },
+            gather: self.gather,
             threads: self.threads,
             cancel: self.cancel,
         };
         let report = calibration.choose(target, receivers, progress)?;
         self.gather.solid_angle_sr = report.solid_angle_sr;
-        if self.gather.parallax > 0.0 {
-            self.gather.parallax = GatherSettings::shared_parallax(report.solid_angle_sr);
-        }
         self.target = Some(report);
         Ok(())
     }
@@ -596,7 +585,7 @@ impl<'a> Session<'a> {
         let receivers: Vec<Receiver> = sample.iter().map(|s| s.receiver).collect();
         let phase = progress.start_phase("check", "receivers", Some(receivers.len() as u64));
         let options = ShadeOptions {
-            gather: GatherSettings { solid_angle_sr: 0.0, parallax: 0.0, ..self.gather },
+            gather: GatherSettings { solid_angle_sr: 0.0, ..self.gather },
             threads: self.threads,
             cancel: self.cancel,
             progress: &|done| phase.set_done(done),
@@ -606,17 +595,9 @@ impl<'a> Session<'a> {
         let (references, _) = shade_receivers(&self.octree, light, &receivers, &options)?;
         drop(phase);
         let seconds = start.elapsed().as_secs_f64();
-        let mut alone = None;
-        if self.gather.parallax > 0.0 {
-            let (threads, cancel) = (self.threads, self.cancel);
-            let gather = GatherSettings { parallax: 0.0, ..self.gather };
-            let options = ShadeOptions { gather, threads, cancel, ..ShadeOptions::default() };
-            let (own, _) = shade_receivers(&self.octree, light, &receivers, &options)?;
-            alone = AloneReport::new(&own, &references).ok();
-        }
         match CheckReport::new(sample, &references) {
             Ok(mut report) => {
-                (report.seconds, report.alone) = (seconds, alone);
+                report.seconds = seconds;
                 Ok(Some(report))
             }
             Err(error) => {
@@ -768,9 +749,6 @@ impl ShadeReport {
                 format_seconds(check.seconds)
             );
             rows.push(("cut error", error));
-            if let Some(alone) = &check.alone {
-                rows.push(("without sharing", error_text(alone.rrmse, alone.bias, alone.p99)));
-            }
             if let Some(gloss) = &check.gloss {
                 let error = error_text(gloss.rrmse, gloss.bias, gloss.p99);
                 rows.push(("cut error of gloss", error));

@@ -53,14 +53,7 @@ pub fn rows(baked: &BakeReport, shaded: &ShadeReport) -> Vec<(&'static str, Stri
         };
         let receivers = check.receivers;
         let all = error(check.rrmse, check.bias, check.p99);
-        match &check.alone {
-            Some(alone) => {
-                let cut = error(alone.rrmse, alone.bias, alone.p99);
-                rows.push(("cut error", format!("{cut} ({receivers} receivers)")));
-                rows.push(("with sharing", all));
-            }
-            None => rows.push(("cut error", format!("{all} ({receivers} receivers)"))),
-        }
+        rows.push(("cut error", format!("{all} ({receivers} receivers)")));
     }
     rows
 }

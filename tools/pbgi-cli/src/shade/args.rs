@@ -323,11 +323,6 @@ pub struct QualityArgs {
     /// most of, the cosine of diffuse surfaces, bright nodes, nodes that are pieces of planes.
     #[arg(long, value_name = "TERMS", default_value = "all", hide_short_help = true)]
     pub importance: ImportanceTerms,
-    /// Draw what is far once for receivers that are close together
-    ///
-    /// Pays where many receivers lie on smooth surfaces, as in large pictures; --check tells what it costs in error.
-    #[arg(long, hide_short_help = true)]
-    pub share: bool,
     /// Texels along a face of the cube raster
     #[arg(long, value_name = "N", default_value_t = ShadeSettings::default().raster_edge)]
     pub raster: usize,

@@ -178,7 +178,6 @@ fn settings(args: &ShadeArgs) -> Result<ShadeSettings, PbgiError> {
         solid_angle_sr: args.quality.solid_angle,
         target_error: args.quality.target_error(),
         importance: args.quality.importance,
-        share: args.quality.share,
         gloss: args.gloss.settings(),
         raster_edge: args.quality.raster,
         bias: args.quality.bias,
