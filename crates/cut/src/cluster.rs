@@ -268,18 +268,14 @@ fn thin_sheets(shown: &mut [Shown], lobes: &[KnownLobe], silhouette: impl Fn() -
     // Of each, the share that lies anywhere in what is left of the box.
     let mut loose = [1.0; LOBES_MAX];
     let mut rest = 0.0;
-    let largest = shown.get(flat_index).copied();
+    let largest = shown.get(flat_index).map(|seen| seen.lobe);
     for (index, (seen, loose)) in shown.iter().zip(&mut loose).enumerate() {
         if !seen.is_sheet || index == flat_index {
             *loose = 0.0;
         } else if let Some(largest) = largest
             && seen.is_flat
         {
-            let by_cells = seen.piece.axis == largest.piece.axis;
-            *loose = match by_cells {
-                true => seen.piece.stencil.share_in(largest.piece.stencil),
-                false => lobes[seen.lobe].share_in(&lobes[largest.lobe]),
-            };
+            *loose = lobes[seen.lobe].shares[largest];
         }
         rest += *loose * seen.area;
     }
@@ -372,6 +368,40 @@ mod tests {
         // What is round lies anywhere in the box.
         let cluster = see(receiver, &[Vec3::Y], 1.0, 4.0);
         assert_eq!(cluster.pieces()[0].stencil, Stencil::FULL);
+    }
+
+    /// Cloth over the box 0 ..= 1: two sheets, the larger first, with these normals and stencils, as seen from below.
+    fn see_cloth(normals: [Vec3; 2], stencils: [u64; 2]) -> Vec<f32> {
+        let bounds = Aabb { min: Vec3::ZERO, max: Vec3::ONE };
+        let sheet = |(k, normal): (usize, Vec3)| {
+            let stencil = Stencil(stencils[k]);
+            let vector = normal.normalize() * if k == 0 { 0.6 } else { 0.3 };
+            let lobe = Lobe { vector, fill: 0.9, stencil, ..Lobe::default() };
+            KnownLobe::new(&lobe, &bounds)
+        };
+        let mut lobes: Vec<KnownLobe> = normals.into_iter().enumerate().map(sheet).collect();
+        crate::known::find_shares(&mut lobes, &bounds);
+        let receiver = Vec3::new(0.4, -3.0, 0.6);
+        let cluster = Cluster::from_lobes(-receiver, Vec3::ONE - receiver, &lobes, 1, receiver);
+        let mut ends: Vec<f32> = cluster.pieces().iter().map(|piece| piece.end).collect();
+        ends.sort_by(f32::total_cmp);
+        ends
+    }
+
+    #[test]
+    fn cloth_is_thinned_only_where_it_lies_above_other_cloth() {
+        let (left, right) = (0x0f0f_0f0f_0f0f_0f0f, 0xf0f0_f0f0_f0f0_f0f0);
+        let down = Vec3::NEG_Y;
+        // Beside each other both are closed, above each other the smaller one hides itself in part.
+        assert_eq!(see_cloth([down, down], [left, right]), [1.0, 1.0]);
+        let above = see_cloth([down, down], [left, left]);
+        assert!(above[0] > 0.3 && above[0] < 0.8 && above[1] == 1.0, "{above:?}");
+        // A plane half way up, in the box around a slanted one or beside it, which has its cells along y and z.
+        let slanted = Vec3::new(1.0, -1.0, 0.0);
+        let within = see_cloth([slanted, down], [u64::MAX, u64::MAX]);
+        assert!(within[0] > 0.3 && within[0] < 0.8 && within[1] == 1.0, "{within:?}");
+        let upper = 0xe0e0_e0e0_e0e0_e0e0;
+        assert_eq!(see_cloth([slanted, down], [upper, u64::MAX]), [1.0, 1.0]);
     }
 
     #[test]

@@ -5,7 +5,8 @@ use crate::metric::{NodeSeen, Threshold};
 use crate::node::{NodePlace, Viewpoint, bad_link, larger, pin_sound_page, view_group};
 use crate::stats::CutStats;
 use pbgi_format::{
-    CHILDREN_MAX, Channels, ChildLink, LeafSurfel, Lobe, PageId, SurfelLayout, SurfelPage,
+    CHILDREN_MAX, Channels, ChildLink, LOBES_MAX, LeafSurfel, Lobe, PageId, SurfelLayout,
+    SurfelPage,
 };
 use pbgi_math::{Aabb, STENCIL_EDGE, Stencil, Vec3, central_section_area, stencil_axis};
 use pbgi_store::{Octree, Reader, StoreError};
@@ -107,9 +108,10 @@ pub(crate) struct GroupSeen {
 pub(crate) struct KnownLobe {
     pub lobe: Lobe,
     pub is_flat: bool,
-    /// Of a flat one, the box around what its stencil leaves of its plane, relative to the file's origin.
-    pub bounds: Aabb,
-    /// The normal of that plane and a point of it.
+    /// Of a flat one, which share of it lies where another flat one of its node does, by its number: in cells of both stencils, or where these are seen
+    /// along different axes, in the box around the other.
+    pub shares: [f32; LOBES_MAX],
+    /// The normal of its plane and a point of it, relative to the file's origin.
     pub normal: Vec3,
     pub point: Vec3,
     pub axis: u8,
@@ -478,12 +480,14 @@ impl<'a> NodeReader<'a> {
             for index in 0..view.child_count() {
                 let bounds = group.bounds(index);
                 let stored = view.lobe_bytes(index, layout.channels).chunks_exact(stride);
+                let first = self.lobes.len();
                 for (stored, stencil) in stored.zip(view.stencils(index)) {
                     let mut lobe =
                         Lobe::read(stored, layout.channels, layout.area, layout.radiance_scale);
                     lobe.stencil = stencil;
                     self.lobes.push(KnownLobe::new(&lobe, &bounds));
                 }
+                find_shares(&mut self.lobes[first..], &bounds);
                 starts[index + 1..].fill(self.lobes.len() as u32);
             }
         }
@@ -653,18 +657,37 @@ fn outline_bounds(normal: Vec3, point: Vec3, stencil: Stencil, around: &Aabb) ->
     found
 }
 
-impl KnownLobe {
-    /// Share of the box around it that lies in the box around another lobe of its node, 0..=1; of what is thin along an axis as of what is thick.
-    #[inline(always)]
-    pub fn share_in(&self, other: &Self) -> f32 {
-        let low = self.bounds.min.max(other.bounds.min);
-        let high = self.bounds.max.min(other.bounds.max);
-        let (common, own) = (high - low, self.bounds.extent());
-        let least = THICKNESS * own.max_element();
-        let share = (common + least) / (own + least);
-        share.clamp(Vec3::ZERO, Vec3::ONE).element_product()
-    }
+/// Share of a box that lies in another, 0..=1; of what is thin along an axis as of what is thick.
+fn share_of_box(own: &Aabb, other: &Aabb) -> f32 {
+    let common = own.max.min(other.max) - own.min.max(other.min);
+    let least = THICKNESS * own.extent().max_element();
+    let share = (common + least) / (own.extent() + least);
+    share.clamp(Vec3::ZERO, Vec3::ONE).element_product()
+}
 
+/// Finds [`KnownLobe::shares`] of the lobes of the node with this box.
+pub(crate) fn find_shares(lobes: &mut [KnownLobe], bounds: &Aabb) {
+    if lobes.len() < 2 {
+        return;
+    }
+    let boxes: Vec<Aabb> = lobes
+        .iter()
+        .map(|known| outline_bounds(known.normal, known.point, known.lobe.stencil, bounds))
+        .collect();
+    for own in 0..lobes.len() {
+        for other in 0..lobes.len() {
+            let share = match lobes[own].axis == lobes[other].axis {
+                true => lobes[own].lobe.stencil.share_in(lobes[other].lobe.stencil),
+                false => share_of_box(&boxes[own], &boxes[other]),
+            };
+            if lobes[own].is_flat && lobes[other].is_flat {
+                lobes[own].shares[other] = share;
+            }
+        }
+    }
+}
+
+impl KnownLobe {
     /// A lobe of the node with this box.
     #[must_use]
     #[inline(always)]
@@ -673,7 +696,13 @@ impl KnownLobe {
         let length = lobe.vector.length();
         let flat_width = if lobe.blocks_back { SOLID_FLAT_WIDTH } else { SHEET_FLAT_WIDTH };
         let is_flat = lobe.width <= flat_width * (length + lobe.width);
-        let mut known = Self { lobe: *lobe, is_flat, covered: 1.0, ..Self::default() };
+        let mut known = Self {
+            lobe: *lobe,
+            is_flat,
+            covered: 1.0,
+            shares: [1.0; LOBES_MAX],
+            ..Self::default()
+        };
         if !is_flat {
             known.lobe.stencil = Stencil::FULL;
             return known;
@@ -683,7 +712,6 @@ impl KnownLobe {
         known.normal = normal;
         known.axis = stencil_axis(normal) as u8;
         known.point = bounds.center() + normal * (lobe.height * normal.abs().dot(half));
-        known.bounds = outline_bounds(normal, known.point, lobe.stencil, bounds);
         // Points spread evenly over the box's section with the plane: those over the box, laid into it.
         known.variance = half * half * (share * (1.0 / 3.0));
         known.spread2 = known.variance.dot(Vec3::ONE - normal * normal);

@@ -17,6 +17,7 @@ use crate::bake::request::{BakeRequest, NormalsChoice};
 use crate::budget::bake::BakeMemory;
 use crate::budget::disk_space::{DiskSpace, DiskUse};
 use crate::budget::resident::{peak_resident_bytes, process_use};
+use crate::budget::split::node_bytes;
 use crate::figures::format_bytes;
 use crate::output_path::{are_on_one_disk, free_bytes, kept_files};
 use crate::progress::{Phase, Progress};
@@ -74,7 +75,8 @@ pub fn bake(
         .install(|| Inputs::open(&request.inputs, &request.cloud, octrees, request.memory_limit))?;
     check_canceled(cancel)?;
     let z_up = request.up.map_or(inputs.any_z_up, |up| up == UpAxis::Z);
-    let light = pool.install(|| Light::load(&request.light, z_up, request.memory_limit))?;
+    let mut light = pool.install(|| Light::load(&request.light, z_up, request.memory_limit))?;
+    light.settings.node_bytes = node_bytes(request.memory_limit, memory.threads);
     // Sort, estimate where there may be something to estimate, build, light.
     progress.set_phase_count(2 + u32::from(inputs.any_cloud()) + light.pass_count());
     let report = BakeReport {

@@ -2,6 +2,7 @@
 
 use crate::PbgiError;
 use crate::budget::resident::resident_bytes;
+use crate::budget::split::node_bytes_held;
 use crate::figures::format_bytes;
 use crate::shade::CHUNK_RECEIVERS;
 use pbgi_build::BuildOptions;
@@ -43,8 +44,12 @@ impl BakeMemory {
 
     /// Bytes set aside for building and shading.
     pub fn reserve(&self) -> u64 {
-        let chunk = if self.lights { CHUNK_RECEIVERS as u64 * SHADED_SURFEL_BYTES } else { 0 };
-        BUILD_BYTES + MARGIN_BYTES + chunk + self.threads as u64 * THREAD_BYTES
+        let mut bytes = BUILD_BYTES + MARGIN_BYTES + self.threads as u64 * THREAD_BYTES;
+        if self.lights {
+            bytes += CHUNK_RECEIVERS as u64 * SHADED_SURFEL_BYTES;
+            bytes += node_bytes_held(self.limit, self.threads);
+        }
+        bytes
     }
 
     /// Bytes for the sort, now that all inputs are open: what they and the reserve leave, or half of it

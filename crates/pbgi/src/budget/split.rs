@@ -21,11 +21,15 @@ const CACHE_BYTES_MIN: u64 = 4 << 20;
 /// Least bytes of decoded nodes that a worker keeps.
 const NODE_BYTES_MIN: u64 = 128 << 10;
 
-/// Bytes of decoded nodes that each of so many workers keeps: all of them together no more than a sixteenth of the limit, if that is enough for the
-/// least.
+/// Bytes of decoded nodes that each of so many workers keeps: all of them together no more than 1/32 of the limit, if that is enough for the least.
 pub(crate) fn node_bytes(limit_bytes: u64, threads: usize) -> usize {
-    let each = limit_bytes / (16 * threads.max(1) as u64);
+    let each = limit_bytes / (32 * threads.max(1) as u64);
     each.clamp(NODE_BYTES_MIN, KNOWN_BYTES as u64) as usize
+}
+
+/// Bytes that all workers hold for that: what is kept grows by doubling.
+pub(crate) fn node_bytes_held(limit_bytes: u64, threads: usize) -> u64 {
+    2 * node_bytes(limit_bytes, threads) as u64 * threads as u64
 }
 
 /// The parts of a memory limit, in bytes. Their sum is the limit.
@@ -53,9 +57,8 @@ impl MemorySplit {
     /// A split for what the process holds now, before frame and cache have their shares.
     pub(crate) fn measure(settings: &ShadeSettings) -> Self {
         let resident = resident_bytes().unwrap_or(PROGRAM_BYTES);
-        // Memory of what is kept grows by doubling.
-        let known = 2 * node_bytes(settings.memory_bytes, settings.threads) as u64;
-        let workers = (THREAD_BYTES + known) * settings.threads as u64;
+        let nodes = node_bytes_held(settings.memory_bytes, settings.threads);
+        let workers = THREAD_BYTES * settings.threads as u64 + nodes;
         Self::new(settings.memory_bytes, resident + MARGIN_BYTES + workers)
     }
 

@@ -26,7 +26,7 @@ fn irradiance(raster: &CubeRaster, table: &CubeRasterTable, normal: Vec3) -> f32
     let texels = table.texels().iter().enumerate();
     texels
         .map(|(i, t)| {
-            raster.chunk(i / LANES, None).unwrap_or_default().radiance[0][i % LANES]
+            raster.chunk(i / LANES).unwrap_or_default().radiance[0][i % LANES]
                 * normal.dot(t.vector).max(0.0)
         })
         .sum()
@@ -115,8 +115,7 @@ fn small_pieces_carry_their_solid_angle_wherever_they_fall() {
             let lit = texels.filter(|(i, _)| is_lit(*i) && raster.lights[*i].radiance[0] > 0.0);
             let found: f32 = lit
                 .map(|(i, t)| {
-                    let light =
-                        raster.chunk(i / LANES, None).unwrap_or_default().radiance[0][i % LANES];
+                    let light = raster.chunk(i / LANES).unwrap_or_default().radiance[0][i % LANES];
                     light / weight_of_last(&raster, i, d) * t.solid_angle_sr
                 })
                 .sum();
@@ -249,7 +248,7 @@ fn nearer_pieces_hide_farther_ones_but_not_their_neighbors() {
         raster.clear::<Plain>(Vec3::Y);
         let whole = table.texels()[up].solid_angle_sr;
         draw_section(&mut raster, (low, high), Vec3::Y, &ink(1.0, 0.0));
-        let light = raster.chunk(up / LANES, None).unwrap_or_default().radiance[0][up % LANES];
+        let light = raster.chunk(up / LANES).unwrap_or_default().radiance[0][up % LANES];
         assert_eq!(light, 0.0);
         let small = Vec3::new(0.05, 1.0, 0.05) * scale;
         let piece = (small - 0.01, small + 0.01);
@@ -275,7 +274,7 @@ fn shares_of_a_covered_texel_sum_to_one() {
         let bounds = (low - 1e-3, high + 1e-3);
         draw_section(&mut raster, bounds, Vec3::Y, &ink(share * whole, 3.0));
     }
-    let light = raster.chunk(up / LANES, None).unwrap_or_default().radiance[0][up % LANES];
+    let light = raster.chunk(up / LANES).unwrap_or_default().radiance[0][up % LANES];
     assert!((light - 3.0).abs() < 1e-3, "{light}");
 }
 
@@ -405,7 +404,7 @@ impl WideKernel for Everything {
                 raster.draw::<L, _>(&[(section, ink)], &footprint, center);
             }
         }
-        let chunks = (0..48).map(|i| raster.chunk(i, None).unwrap_or_default());
+        let chunks = (0..48).map(|i| raster.chunk(i).unwrap_or_default());
         chunks
             .flat_map(|c| c.covered.into_iter().chain(c.radiance.into_iter().flatten()))
             .map(f32::to_bits)
