@@ -327,7 +327,7 @@ mod tests {
             (Vec3::NEG_Z, Vec3::new(0.0, 0.0, -1.1), Vec3::new(50.0, 50.0, -0.9)),
         ];
         run_wide(SimdLevel::Baseline, Draw(&mut raster, Vec3::Y, &walls));
-        let found = convolve_diffuse(&raster, &sums, Some(&sky), None, [Vec3::Y; 2]);
+        let found = convolve_diffuse(&raster, &sums, Some(&sky), [Vec3::Y; 2]);
         assert!((found.ambient_occlusion - 0.5).abs() < 0.01, "{found:?}");
         assert!((found.environment_irradiance[0] - PI / 2.0).abs() < 0.03);
         assert!((found.surface_irradiance[0] - 3.0 * PI / 2.0).abs() < 0.06);

@@ -2,7 +2,7 @@
 
 use crate::PbgiError;
 use crate::budget::resident::resident_bytes;
-use crate::budget::split::node_bytes_held;
+use crate::budget::split::{limit_beside_nodes, node_bytes_held};
 use crate::figures::format_bytes;
 use crate::shade::CHUNK_RECEIVERS;
 use pbgi_build::BuildOptions;
@@ -66,7 +66,13 @@ impl BakeMemory {
         let parts = if self.lights { 2 } else { 1 };
         let least = held + self.reserve() + parts * BUDGET_BYTES_MIN;
         if least > self.limit {
-            let needed = (least + MARGIN_BYTES).div_ceil(1 << 20);
+            let nodes = if self.lights { node_bytes_held(self.limit, self.threads) } else { 0 };
+            let beside = least + MARGIN_BYTES - nodes;
+            let needed = if self.lights {
+                limit_beside_nodes(beside, self.threads).div_ceil(1 << 20)
+            } else {
+                beside.div_ceil(1 << 20)
+            };
             return Err(PbgiError::budget(format!(
                 "a memory limit of {} does not hold the program, its inputs ({} by now) and the \
                  sort; at least {needed} MiB are needed (--memory-limit {needed}MiB)",

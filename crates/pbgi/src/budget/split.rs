@@ -32,6 +32,13 @@ pub(crate) fn node_bytes_held(limit_bytes: u64, threads: usize) -> u64 {
     2 * node_bytes(limit_bytes, threads) as u64 * threads as u64
 }
 
+/// The least limit that holds so many bytes besides the decoded nodes of all workers.
+pub(crate) fn limit_beside_nodes(bytes: u64, threads: usize) -> u64 {
+    // Nodes take a sixteenth of a limit, or what is least.
+    let with_share = bytes.saturating_add(bytes.div_ceil(15));
+    with_share.max(bytes.saturating_add(2 * NODE_BYTES_MIN * threads as u64))
+}
+
 /// The parts of a memory limit, in bytes. Their sum is the limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct MemorySplit {
@@ -43,6 +50,8 @@ pub struct MemorySplit {
     pub frame_bytes: u64,
     /// Page cache: all the rest.
     pub cache_bytes: u64,
+    #[serde(skip)]
+    threads: usize,
 }
 
 impl fmt::Display for MemorySplit {
@@ -57,13 +66,14 @@ impl MemorySplit {
     /// A split for what the process holds now, before frame and cache have their shares.
     pub(crate) fn measure(settings: &ShadeSettings) -> Self {
         let resident = resident_bytes().unwrap_or(PROGRAM_BYTES);
-        let nodes = node_bytes_held(settings.memory_bytes, settings.threads);
-        let workers = THREAD_BYTES * settings.threads as u64 + nodes;
-        Self::new(settings.memory_bytes, resident + MARGIN_BYTES + workers)
+        let workers = THREAD_BYTES * settings.threads as u64;
+        Self::new(settings.memory_bytes, resident + MARGIN_BYTES + workers, settings.threads)
     }
 
-    fn new(limit_bytes: u64, held_bytes: u64) -> Self {
-        Self { limit_bytes, held_bytes, ..Self::default() }
+    /// With so many bytes held besides the workers' nodes.
+    fn new(limit_bytes: u64, held_bytes: u64, threads: usize) -> Self {
+        let held_bytes = held_bytes + node_bytes_held(limit_bytes, threads);
+        Self { limit_bytes, held_bytes, threads, ..Self::default() }
     }
 
     /// Grants the frame between `least` and `most` bytes, at most half of what is left above the
@@ -76,7 +86,9 @@ impl MemorySplit {
         let needed = least.saturating_add(CACHE_BYTES_MIN);
         let rest = self.limit_bytes.saturating_sub(self.held_bytes);
         if rest < needed {
-            let total = self.held_bytes.saturating_add(needed);
+            let nodes = node_bytes_held(self.limit_bytes, self.threads);
+            let beside = (self.held_bytes - nodes).saturating_add(needed);
+            let total = limit_beside_nodes(beside, self.threads);
             return Err(PbgiError::budget(format!(
                 "a memory limit of {} does not hold program, scene and image; at least {} are \
                  needed (--memory-limit {}MiB)",
@@ -97,7 +109,7 @@ mod tests {
 
     #[test]
     fn parts_add_up_to_the_limit() {
-        let split = MemorySplit::new(256 << 20, 60 << 20);
+        let split = MemorySplit::new(256 << 20, 60 << 20, 2);
         for (least, most) in [(0, 0), (1 << 20, 10 << 20), (50 << 20, 500 << 20)] {
             let s = split.grant(least, most).unwrap();
             assert_eq!(s.held_bytes + s.frame_bytes + s.cache_bytes, s.limit_bytes);
@@ -107,9 +119,16 @@ mod tests {
 
     #[test]
     fn limits_that_are_too_small_name_one_that_is_not() {
-        let error = MemorySplit::new(32 << 20, 100 << 20).grant(1 << 20, 1 << 20).unwrap_err();
-        assert!(error.to_string().contains("--memory-limit 105MiB"), "{error}");
-        assert_eq!(error.exit_code(), 4);
-        assert!(MemorySplit::new(105 << 20, 100 << 20).grant(1 << 20, 1 << 20).is_ok());
+        // What nodes take grows with the limit, from a least size on.
+        for (threads, named) in [(1, 112), (2, 112), (100, 130)] {
+            let grant = |limit_mib: u64| {
+                MemorySplit::new(limit_mib << 20, 100 << 20, threads).grant(1 << 20, 1 << 20)
+            };
+            let error = grant(32).unwrap_err();
+            let cure = format!("--memory-limit {named}MiB");
+            assert!(error.to_string().contains(&cure), "{error}");
+            assert_eq!(error.exit_code(), 4);
+            assert!(grant(named).is_ok() && grant(named - 1).is_err(), "{threads}");
+        }
     }
 }
