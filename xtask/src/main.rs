@@ -1,5 +1,5 @@
 //! Chores of the workspace: `cargo xtask tidy`, `cargo xtask bless`, `cargo xtask billion`, `cargo xtask truth`,
-//! `cargo xtask cases`, `cargo xtask hard-cases`, `cargo xtask ci`.
+//! `cargo xtask cases`, `cargo xtask hard-cases`, `cargo xtask faults`, `cargo xtask ci`.
 #![forbid(unsafe_code)]
 
 mod billion;
@@ -8,6 +8,7 @@ mod cases;
 mod ci;
 mod crate_roots;
 mod edges;
+mod faults;
 mod hard_cases;
 mod layout_lock;
 mod text;
@@ -32,6 +33,8 @@ Usage: cargo xtask COMMAND
   cases [NAMES]   run the cases beside the workspace, all or those whose names contain one of these (minutes)
   hard-cases [NAMES]
                   measure the hard cases, all or those whose names contain one of these, and compare them with what is promised (minutes)
+  faults [--short]
+                  fail, fill and kill every program at calls on files (minutes, with --short a few moments of each kind)
   ci              run every check, as .ci/run does (minutes)
 ";
 
@@ -49,6 +52,8 @@ fn main() -> ExitCode {
         ["billion", surfels, folder] => billion::run(&workspace, surfels, folder),
         ["truth", ref rest @ ..] => truth::run(&workspace, rest),
         ["cases", ref filters @ ..] => cases::run(&workspace, filters),
+        ["faults"] => faults::run(&workspace, false),
+        ["faults", "--short"] => faults::run(&workspace, true),
         ["ci"] => ci::run(&workspace),
         ["-h" | "--help"] => {
             print!("{USAGE}");
