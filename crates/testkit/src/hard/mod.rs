@@ -16,6 +16,8 @@ mod sparse;
 use pbgi_cloud::Surfel;
 use pbgi_math::{DVec3, Vec3};
 
+pub use shapes::Chance;
+
 /// What surfels a scene has, and how they are handed over.
 #[derive(Clone, Debug)]
 pub enum CaseCloud {

@@ -36,10 +36,12 @@ pub fn sheet(
     })
 }
 
-/// So many random numbers at once, from a seed: places in a cube of edge 2, and directions.
+/// Random numbers, places and directions, the same for a seed.
 pub struct Chance(Random);
 
 impl Chance {
+    /// From a seed.
+    #[must_use]
     pub fn new(seed: u64) -> Self {
         Self(Random(seed))
     }
