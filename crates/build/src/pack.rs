@@ -4,9 +4,9 @@ use crate::aggregate::NodeAggregate;
 use crate::reduce::LobeReducer;
 use pbgi_cloud::Surfel;
 use pbgi_format::{
-    ChildBox, ChildLink, ExternalLink, GroupFields, LeafWriter, Lobe, NODE_PAGE_HEADER_BYTES,
-    SURFEL_PAGE_FIXED_BYTES, SURFEL_PAGE_HEADER_BYTES, SurfelFields, SurfelLayout, group_bytes,
-    write_group,
+    Channels, ChildBox, ChildLink, ExternalLink, GroupFields, LeafWriter, Lobe,
+    NODE_PAGE_HEADER_BYTES, SURFEL_PAGE_FIXED_BYTES, SURFEL_PAGE_HEADER_BYTES, SurfelFields,
+    SurfelLayout, group_bytes, write_group,
 };
 use std::borrow::Cow;
 use std::vec::Drain;
@@ -16,6 +16,9 @@ pub(crate) struct PendingNode<'s> {
     pub aggregate: NodeAggregate,
     pub content: PendingContent<'s>,
 }
+
+/// Radiance over that of the layout's scale below which a [`pbgi_math::SharedExponent`] has no more than five bits left.
+const DIM: f32 = 1.0 / (1 << 19) as f32;
 
 pub(crate) enum PendingContent<'s> {
     Leaf(Cow<'s, [Surfel]>),
@@ -27,6 +30,19 @@ impl<'s> PendingNode<'s> {
     pub fn leaf(reducer: &mut LobeReducer, surfels: Cow<'s, [Surfel]>) -> Self {
         let aggregate = NodeAggregate::from_surfels_with(reducer, &surfels);
         Self { aggregate, content: PendingContent::Leaf(surfels) }
+    }
+
+    /// Surfels of a leaf that shine, but so little beside the brightest of the file that lobes of their kind lose more than 1.6 % of their light, or all
+    /// of it.
+    pub fn count_dim(&self, layout: &SurfelLayout) -> u64 {
+        let PendingContent::Leaf(surfels) = &self.content else { return 0 };
+        if layout.channels == Channels::Occlusion {
+            return 0;
+        }
+        let least = layout.radiance_scale * DIM;
+        let brightness = |s: &Surfel| s.radiance.into_iter().fold(0.0, f32::max);
+        let is_dim = |s: &&Surfel| brightness(s) > 0.0 && brightness(s) < least;
+        surfels.iter().filter(is_dim).count() as u64
     }
 
     /// Numbers the pages below anew: each gets `by` more.

@@ -32,6 +32,8 @@ pub(crate) struct Counts {
     pub leaves: u64,
     pub hot_bytes: u64,
     pub lobe_bytes: u64,
+    /// Surfels whose light lobes cannot hold beside the brightest.
+    pub dim_surfels: u64,
 }
 
 impl Counts {
@@ -40,6 +42,7 @@ impl Counts {
         self.leaves += other.leaves;
         self.hot_bytes += other.hot_bytes;
         self.lobe_bytes += other.lobe_bytes;
+        self.dim_surfels += other.dim_surfels;
     }
 }
 
@@ -174,10 +177,12 @@ impl<S: PageSink> TreeBuilder<S> {
         let layout = &settings.layout;
         let parts = children.as_slice().iter().map(|(_, child)| &child.aggregate);
         let aggregate = NodeAggregate::from_children_with(reducer, parts);
+        let dim_surfels =
+            children.as_slice().iter().map(|(_, child)| child.count_dim(layout)).sum();
         let mut group = Group::new(split, &aggregate, children, layout, leaf_writer);
         let (leaves, nodes) = group.counts();
         let (hot_bytes, lobe_bytes) = group.own_bytes(layout);
-        counts.add(&Counts { nodes, leaves, hot_bytes, lobe_bytes });
+        counts.add(&Counts { nodes, leaves, hot_bytes, lobe_bytes, dim_surfels });
         if group.exceeds(settings.page_bytes) {
             group.flush_children(settings.page_bytes, layout, |roots| {
                 sink.write_treelets(roots, layout)

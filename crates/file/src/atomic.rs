@@ -70,7 +70,7 @@ impl AtomicFile {
         let file = writer.into_inner().map_err(|e| step("write")(e.into_error()))?;
         let Some((name, target)) = names else { return Ok(()) };
         file.sync_all().map_err(step("sync"))?;
-        name.persist(&target).map_err(|e| step("rename")(e.error))?;
+        platform::rename_over(name, &target).map_err(step("rename"))?;
         // The rename itself lasts once the folder is synced.
         sync_folder(folder_of(&target)).map_err(step(WRITTEN))
     }

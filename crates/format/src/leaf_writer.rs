@@ -42,10 +42,12 @@ const TILE_SIZE_SHIFT: u32 = 2;
 const SIZE_RATIO_TOLERANCE: f32 = 1.0 / 128.0;
 
 /// Steps of radiance are at least so many bits above those of [`crate::MiniFloat`], ±1.6 %, and larger where a channel would
-/// need more than `RADIANCE_WIDTH_MAX` bits. Below `RADIANCE_SPAN` under the leaf's brightest channel (16 octaves) is 0.
+/// need more than `RADIANCE_WIDTH_MAX` bits. Below `RADIANCE_SPAN` under the leaf's brightest channel (16 octaves) is 0, unless a surfel would lose
+/// all of its light: then steps stay small and take what bits they need, `RADIANCE_WIDTH_WIDE` at most, and nothing is lost.
 const RADIANCE_SHIFT_MIN: u32 = 4;
 const RADIANCE_WIDTH_MAX: u32 = 8;
 const RADIANCE_SPAN: u32 = 16 << 9;
+const RADIANCE_WIDTH_WIDE: u32 = MiniFloat::BITS - RADIANCE_SHIFT_MIN;
 
 /// Bits of an orientation that hold the normal.
 const NORMAL_BITS: u32 = 0xff_ffff;
@@ -634,11 +636,14 @@ impl LeafWriter {
         if layout.channels == Channels::Occlusion {
             return Above::default();
         }
-        let limits = match self.rounding {
-            LeafRounding::Compact => (RADIANCE_SHIFT_MIN, RADIANCE_WIDTH_MAX),
-            LeafRounding::Finest => (0, MiniFloat::BITS),
+        let (limits, span) = match self.rounding {
+            LeafRounding::Compact if self.dims_lose_light() => {
+                ((RADIANCE_SHIFT_MIN, RADIANCE_WIDTH_WIDE), CODE_MASK)
+            }
+            LeafRounding::Compact => ((RADIANCE_SHIFT_MIN, RADIANCE_WIDTH_MAX), RADIANCE_SPAN),
+            LeafRounding::Finest => ((0, MiniFloat::BITS), RADIANCE_SPAN),
         };
-        let fit = Above::fit(self.surfels.iter().map(|s| s.radiance), limits, RADIANCE_SPAN);
+        let fit = Above::fit(self.surfels.iter().map(|s| s.radiance), limits, span);
         out.extend_from_slice(&fit.control().to_le_bytes());
         if fit.floor == 0 || fit.bits() > 0 {
             for least in fit.least {
@@ -646,6 +651,14 @@ impl LeafWriter {
             }
         }
         fit
+    }
+
+    /// Whether a surfel that shines is so much darker than another that none of its light would be kept.
+    fn dims_lose_light(&self) -> bool {
+        let brightest = self.surfels.iter().map(|s| s.radiance.into_iter().fold(0, u32::max));
+        let lit = brightest.filter(|&code| code > 0);
+        let (least, largest) = lit.fold((u32::MAX, 0), |(a, b), code| (a.min(code), b.max(code)));
+        largest.saturating_sub(least) > RADIANCE_SPAN
     }
 
     /// What the surfels' albedos are stored as; a list where it is none.
@@ -899,6 +912,24 @@ mod tests {
             }
         }
         assert_eq!(stored[7].radiance[..2], [0.0; 2]);
+    }
+
+    /// A lamp 10¹² times brighter than its neighbors takes nothing from them, and is rounded as little.
+    #[test]
+    fn bright_surfels_leave_their_neighbors_light() {
+        let layout = SurfelLayout { radiance_scale: 2f32.powi(24), ..LAYOUT };
+        for bright in [1e6f32, 1e12] {
+            let mut surfels = wall();
+            surfels.truncate(9);
+            surfels[4].radiance = [bright, 0.9 * bright, 0.0];
+            surfels[5].radiance = [0.0; 3];
+            let stored = store(&surfels, &layout);
+            for (surfel, back) in surfels.iter().zip(&stored) {
+                for (found, expected) in back.radiance.into_iter().zip(surfel.radiance) {
+                    assert!((found - expected).abs() <= 0.018 * expected, "{found} {expected}");
+                }
+            }
+        }
     }
 
     #[test]

@@ -23,6 +23,7 @@ mod shade;
 pub use bake::bake;
 pub use bake::input::{
     DEFAULT_SURFELS, InputKind, Sampling, is_octree, load_scene, load_scene_within,
+    starts_as_octree,
 };
 pub use bake::relight::{BOUNCES_MAX, LightRequest};
 pub use bake::report::{BakeReport, BytesPerSurfel, PhaseReport};

@@ -3,6 +3,7 @@
 //! A dev-dependency only, never published.
 #![forbid(unsafe_code)]
 
+pub mod hard;
 mod oracle;
 mod scenes;
 mod sorted;

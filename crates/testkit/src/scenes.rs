@@ -88,10 +88,11 @@ pub fn random_objects(count: usize, half_edge: f32, seed: u64) -> Vec<Surfel> {
 }
 
 /// SplitMix64 (Steele, Lea, Flood 2014).
-struct Random(u64);
+pub(crate) struct Random(pub u64);
 
 impl Random {
-    fn unit(&mut self) -> f32 {
+    /// From 0 to 1.
+    pub fn unit(&mut self) -> f32 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
         z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);

@@ -1,14 +1,18 @@
 //! What is mistaken for something else on the command line, and what to write instead.
 
-use pbgi::{InputKind, PbgiError, is_octree};
+use pbgi::{InputKind, PbgiError, is_octree, starts_as_octree};
 use std::ffi::OsStr;
 use std::path::Path;
 
-/// Refuses what is named in place of an octree; `scene` is what --scene names. A missing or damaged file is left to its reader.
+/// Refuses what is named in place of an octree; `scene` is what --scene names. A file that is missing, damaged or cannot be read is left to its
+/// reader.
 pub fn check_octree(octree: &Path, scene: Option<&str>) -> Result<(), PbgiError> {
     let name = octree.to_string_lossy();
-    if is_octree(octree) || !octree.exists() && !InputKind::is_procedural_name(&name) {
-        return Ok(());
+    match starts_as_octree(octree) {
+        Ok(true) => return Ok(()),
+        Err(_) if octree.is_file() => return Ok(()),
+        _ if !octree.exists() && !InputKind::is_procedural_name(&name) => return Ok(()),
+        _ => {}
     }
     if octree.is_dir() {
         return Err(PbgiError::usage(format!(

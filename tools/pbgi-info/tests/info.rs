@@ -54,6 +54,22 @@ fn file_bytes(folder: &Path) -> u64 {
     std::fs::metadata(folder.join("scene.pbgi")).unwrap().len()
 }
 
+/// What a killed run has left beside the points, the next one removes, also one that finds nothing to write.
+#[test]
+fn what_killed_runs_have_left_is_removed() {
+    let folder = bake("demo:cornell");
+    for args in [
+        &["scene.pbgi", "--points", "out.ply"][..],
+        &["none.pbgi", "--points", "out.ply", "--force"],
+    ] {
+        let left = folder.path().join(".out.ply.k1l2m3n4o5p6.pbgi-tmp");
+        std::fs::write(&left, "half").unwrap();
+        let (code, _, stderr) = run(folder.path(), args);
+        assert!([0, 3].contains(&code) && !left.exists(), "{code}: {stderr}");
+    }
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2);
+}
+
 /// What goes out as a RenderMan point cloud comes in again: the same places, sizes and light.
 #[test]
 fn ptc_files_go_out_and_come_in_again() {

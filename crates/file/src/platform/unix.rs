@@ -8,6 +8,7 @@ use std::io;
 use std::os::unix::ffi::OsStringExt;
 use std::os::unix::fs::{FileExt, FileTypeExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::Path;
+use tempfile::TempPath;
 
 /// Fills `out` with the bytes from `offset` on.
 ///
@@ -94,6 +95,17 @@ pub fn create_private(path: &Path) -> io::Result<File> {
 /// Gives files the permissions of ordinary ones.
 pub fn use_ordinary_permissions(builder: &mut tempfile::Builder<'_, '_>) {
     builder.permissions(Permissions::from_mode(0o666));
+}
+
+/// Gives a temporary file a name for good, in place of any file of that name.
+///
+/// # Errors
+///
+/// If that fails; the temporary file is then removed.
+pub fn rename_over(name: TempPath, target: &Path) -> io::Result<()> {
+    // By the system's library, which `cargo xtask faults` makes fail; TempPath::persist calls the kernel itself.
+    std::fs::rename(&name, target)?;
+    name.keep().map(drop).map_err(|e| e.error)
 }
 
 /// Whether this is a regular file of this user with one name.

@@ -5,6 +5,7 @@ use std::fs::{File, FileType, Metadata};
 use std::io;
 use std::os::windows::fs::{FileExt, MetadataExt, OpenOptionsExt};
 use std::path::Path;
+use tempfile::TempPath;
 use winapi_util::Handle;
 use winapi_util::file::information;
 
@@ -107,6 +108,15 @@ pub fn create_private(path: &Path) -> io::Result<File> {
 
 /// Files have the permissions of their folder.
 pub fn use_ordinary_permissions(_builder: &mut tempfile::Builder<'_, '_>) {}
+
+/// Gives a temporary file a name for good, in place of any file of that name.
+///
+/// # Errors
+///
+/// If that fails; the temporary file is then removed.
+pub fn rename_over(name: TempPath, target: &Path) -> io::Result<()> {
+    name.persist(target).map_err(|e| e.error)
+}
 
 /// Whether this is a regular file; folders tell who may make one.
 #[must_use]

@@ -162,12 +162,21 @@ pub fn load_scene_within(name: &str, memory_limit: u64) -> Result<Scene, PbgiErr
     read_within(memory_limit, |allowance| read_scene_within(path, allowance))
 }
 
-/// Whether a file starts as octree files do.
+/// Whether a file starts as octree files do; not if it cannot be read.
 pub fn is_octree(path: &Path) -> bool {
+    starts_as_octree(path).unwrap_or(false)
+}
+
+/// Whether a file starts as octree files do.
+///
+/// # Errors
+///
+/// If it cannot be read.
+pub fn starts_as_octree(path: &Path) -> std::io::Result<bool> {
     let mut start = Vec::new();
     let length = pbgi_format::MAGIC.len() as u64;
-    let read = open_input(path).and_then(|file| file.take(length).read_to_end(&mut start));
-    read.is_ok() && *start == pbgi_format::MAGIC
+    open_input(path)?.take(length).read_to_end(&mut start)?;
+    Ok(*start == pbgi_format::MAGIC)
 }
 
 /// What becomes of the light that octree files store.

@@ -498,6 +498,14 @@ impl<'a> Baker<'a> {
                 "the peak of memory, {peak}, exceeds the limit of {limit}: reading the inputs took more"
             ));
         }
+        // Some are dark in any scene; where many are, something is too bright.
+        if build.dim_surfels * DIM_SHARE_INVERSE > build.surfels {
+            self.report.warnings.push(format!(
+                "{} of {} surfels shine about 10^10 times less than the brightest, and more: the file cannot hold both, so that clusters of them \
+                 lose light and may be black; leave out what is so bright, or make it darker",
+                build.dim_surfels, build.surfels,
+            ));
+        }
         for warning in &self.report.warnings {
             self.progress.warn(warning);
         }
@@ -519,6 +527,9 @@ impl<'a> Baker<'a> {
         }
     }
 }
+
+/// Of so many surfels one may be too dim for the file without a warning.
+const DIM_SHARE_INVERSE: u64 = 10;
 
 /// Least size of a cloud, 2⁻²³ scene units, with which results are those of the same cloud at any other scale.
 const SCALE_MIN: f32 = 1.0 / (1 << 23) as f32;

@@ -204,6 +204,7 @@ mod tests {
             node_hot_bytes: 500,
             lobe_bytes: 300,
             overhead_bytes: 100,
+            dim_surfels: 0,
         };
         assert!((BytesPerSurfel::new(&build).total() - 23.0).abs() < 1e-9);
     }

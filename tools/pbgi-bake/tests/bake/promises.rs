@@ -217,3 +217,25 @@ fn scales_without_right_results_are_refused() {
         assert!(code == 0 || error.contains("scale the scene"), "{scale}: {error}");
     }
 }
+
+#[test]
+fn light_that_the_file_cannot_hold_is_reported() {
+    let bench = Bench::new();
+    let cloud = |bright: f32| {
+        let row = |i: usize, light: f32| format!("{i} 0 0 0 1 0 0.4 {light} {light} {light}\n");
+        let rows: String = (0..100).map(|i| row(i, if i == 7 { bright } else { 1.0 })).collect();
+        let columns = ["x", "y", "z", "nx", "ny", "nz", "radius"].into_iter();
+        let columns = columns.chain(["radiance_r", "radiance_g", "radiance_b"]);
+        let columns: String = columns.map(|c| format!("property float {c}\n")).collect();
+        format!("ply\nformat ascii 1.0\nelement vertex 100\n{columns}end_header\n{rows}")
+    };
+    for (bright, is_said) in [(1.0, false), (1e9, false), (1e12, true), (1e20, true)] {
+        bench.write("a.ply", cloud(bright));
+        let said = end(&bench, &["a.ply", "-o", "a.pbgi", "--force"], 0);
+        assert_eq!(said.contains("99 of 100 surfels shine"), is_said, "{bright}: {said}");
+    }
+    // A few dark corners are no defect.
+    bench.write("a.ply", cloud(1e-12));
+    let said = end(&bench, &["a.ply", "-o", "a.pbgi", "--force"], 0);
+    assert!(!said.contains("surfels shine"), "{said}");
+}

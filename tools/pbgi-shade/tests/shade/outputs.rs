@@ -230,3 +230,31 @@ fn large_environments_are_refused_before_they_are_read() {
 fn run_ok(arguments: &[&str]) -> bool {
     run(arguments).status.success()
 }
+
+/// What killed runs have left beside each output, the next run to the same outputs removes; what a run that lives writes, and files of
+/// others, it leaves alone.
+#[test]
+fn what_killed_runs_have_left_is_removed() {
+    let folder = folder();
+    let path = |name: &str| folder.path().join(name);
+    let outputs = ["a.exr", "a.png", "sheet.png", "a.json", "a.trace", "a.ply"];
+    let left = outputs.map(|name| path(&format!(".{name}.k1l2m3n4o5p6.pbgi-tmp")));
+    let others = [".b.exr.k1l2m3n4o5p6.pbgi-tmp", ".a.exr.notes"].map(path);
+    left.iter().chain(&others).for_each(|path| std::fs::write(path, "half").unwrap());
+    let alive = path(".a.exr.livelivelive.pbgi-tmp");
+    let living = std::fs::File::create(&alive).unwrap();
+    living.lock().unwrap();
+    let names = outputs.map(|name| text(&path(name)).to_owned());
+    let [picture, preview, sheet, json, trace, points] = names.each_ref().map(String::as_str);
+    let more = ["--preview", preview, "--contact-sheet", sheet, "--stats-json", json];
+    let octree = text(&path("scene.pbgi")).to_owned();
+    let of_picture = [&[octree.as_str(), "-o", picture, "--trace-pages", trace], &LIGHT[..], &more];
+    shade(&of_picture.concat());
+    let receivers = text(&path("points.ply")).to_owned();
+    shade(&[octree.as_str(), "--receivers", &receivers, "-o", points, "-q"]);
+    for path in &left {
+        assert!(!path.exists(), "{} is still there", path.display());
+    }
+    assert!(others.iter().chain([&alive]).all(|path| path.exists()));
+    assert!(names.iter().all(|name| Path::new(name).exists()));
+}
