@@ -79,8 +79,8 @@ impl PointsRequest<'_> {
 
 /// Bytes of a surfel beside its receiver until it is written: radius, area, albedo.
 const SURFEL_BYTES: usize = size_of::<[f32; 5]>();
-/// Bytes of a row beside its receiver: position, normal, and each column.
-const ROW_BYTES: usize = 24;
+/// Bytes of a row beside its receiver: position and normal, rounded and as given, and each column.
+const ROW_BYTES: usize = 24 + 48;
 const COLUMN_BYTES: usize = 12;
 /// Bytes that writing a scan may hold: points as they were and as they will be, and a chunk of the compressor.
 const SCAN_WRITER_BYTES: u64 = 12 << 20;
@@ -285,9 +285,8 @@ impl PointsJob<'_> {
             |chunk| {
                 let table = &chunk.attached;
                 for (row, shading) in chunk.shadings.iter().enumerate() {
-                    let position = table.positions[row].as_dvec3() + table.origin;
                     let others = passed_columns.iter().map(|i| table.columns[*i].value(row));
-                    writer.write(position, table.normals[row], shading, others)?;
+                    writer.write(table.given[row], shading, others)?;
                 }
                 Ok(())
             },
@@ -326,9 +325,10 @@ impl PointsJob<'_> {
             |chunk| {
                 let results = chunk.receivers.iter().zip(&chunk.shadings).zip(chunk.attached);
                 for ((receiver, shading), others) in results {
-                    let position = receiver.position.as_dvec3() + self.rules.origin;
-                    let others = others.map(f64::from);
-                    writer.write(position, receiver.normal, shading, others)?;
+                    let place = receiver.position.as_dvec3() + self.rules.origin;
+                    let [nx, ny, nz] = receiver.normal.as_dvec3().to_array();
+                    let given = [place.x, place.y, place.z, nx, ny, nz];
+                    writer.write(given, shading, others.map(f64::from))?;
                 }
                 Ok(())
             },

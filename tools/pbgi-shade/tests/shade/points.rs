@@ -1,7 +1,7 @@
 //! Points.
 
 use crate::support::{SCENE, bake_to, fail, octree, shade, text};
-use pbgi_cloud::{CloudOptions, LasPoints, PlyWriter, ReceiverTable, SurfelSource};
+use pbgi_cloud::{CloudOptions, LasPoints, PlyWriter, ReceiverReader, ReceiverTable, SurfelSource};
 use std::f32::consts::PI;
 use std::path::Path;
 
@@ -46,6 +46,25 @@ fn receivers_come_back_with_their_light_and_their_columns() {
     let message = fail(2, &arguments);
     assert!(message.contains("--force"), "{message}");
     shade(&[&arguments[..], &["--force"]].concat());
+}
+
+#[test]
+fn positions_and_normals_come_back_as_given() {
+    let folder = tempfile::tempdir().unwrap();
+    let [input, output] = ["in.ply", "out.ply"].map(|name| folder.path().join(name));
+    let text_of = "ply\nformat ascii 1.0\nelement vertex 2\nproperty double x\nproperty double y\nproperty double z\n\
+                   property float nx\nproperty float ny\nproperty double nz\nend_header\n\
+                   0.1 5.123456789012345 -0.2 0.25 2 0.7\n1e-9 7 0 0 -5 0.1\n";
+    std::fs::write(&input, text_of).unwrap();
+    let octree = octree();
+    let paths = [text(&octree), "--receivers", text(&input), "-o", text(&output)];
+    shade(&[&paths[..], &["--env-color", "1,1,1", "-q"]].concat());
+    let [given, found] = [&input, &output].map(|path| {
+        let kinds = ReceiverReader::open(path).unwrap().given_kinds();
+        (kinds, ReceiverTable::read(path).unwrap().given)
+    });
+    assert_eq!(given.1[0][1], 5.123_456_789_012_345);
+    assert_eq!(found, given);
 }
 
 /// Shades every surfel of a file, at a solid angle; returns the statistics.
