@@ -16,6 +16,7 @@ use crate::points::results::ResultWriter;
 use crate::points::rows::PointRows;
 use crate::points::scan::{ScanReader, is_scan, is_scan_name};
 use crate::points::table_receivers::{RowRules, TableReceivers, no_eye};
+use crate::shade::nearness::FarReceivers;
 use crate::shade::target::spread;
 use crate::shade::{
     CHUNK_RECEIVERS, LightSource, Session, ShadeReport, ShadeSettings, chunk_bytes, gloss_toward,
@@ -27,7 +28,7 @@ use pbgi_file::folder_of;
 use pbgi_format::LeafSurfel;
 use pbgi_gather::{Material, Receiver};
 use pbgi_math::{DVec3, Vec3};
-use pbgi_store::try_for_each_leaf;
+use pbgi_store::{Octree, try_for_each_leaf};
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -127,8 +128,10 @@ pub fn shade_points(
     let job = PointsJob { rules, progress, cancel };
     match &mut rows {
         Some(rows) => {
+            let sample = job.sample_rows(rows)?;
+            let far = job.warn_of_far(&session.octree, &sample, &request.source)?;
+            session.warnings.extend(far);
             if session.wants_calibration() {
-                let sample = job.sample_rows(rows)?;
                 session.calibrate(&sample, progress)?;
             }
             job.shade_rows(&mut session, rows, &mut writer)?;
@@ -255,6 +258,19 @@ impl PointsJob<'_> {
                 return Ok(sample);
             }
         }
+    }
+
+    /// What to say where these receivers of a file are not where the surfels are.
+    fn warn_of_far(
+        &self,
+        octree: &Octree,
+        sample: &[Receiver],
+        source: &PointSource,
+    ) -> Result<Option<String>, PbgiError> {
+        let PointSource::File(path) = source else { return Ok(None) };
+        let place = |receiver: &Receiver| receiver.position.as_dvec3() + self.rules.origin;
+        let places: Vec<DVec3> = sample.iter().map(place).collect();
+        FarReceivers::warn_of_points(octree, &path.display().to_string(), &places)
     }
 
     /// Shades the receivers of a file in the order of its rows.

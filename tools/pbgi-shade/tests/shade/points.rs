@@ -67,6 +67,36 @@ fn positions_and_normals_come_back_as_given() {
     assert_eq!(found, given);
 }
 
+/// Vertices of the scene itself, in other units and with another axis up.
+#[test]
+fn receivers_far_from_all_surfels_are_warned_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let [surfels, input, output] =
+        ["s.ply", "in.ply", "out.ply"].map(|name| folder.path().join(name));
+    let octree = octree();
+    shade_surfels(&octree, &surfels, "1", &[]);
+    let table = ReceiverTable::read(&surfels).unwrap();
+    let warnings_of = |change: &dyn Fn(f32, f32, f32) -> [f32; 3]| {
+        let mut writer = PlyWriter::create(&input, &["x", "y", "z", "nx", "ny", "nz"]).unwrap();
+        for place in table.positions.iter().step_by(20) {
+            let [x, y, z] = change(place.x, place.y, place.z);
+            writer.write_rows(&[x, y, z, 0.0, 1.0, 0.0]).unwrap();
+        }
+        writer.finish().unwrap();
+        let paths = [text(&octree), "--receivers", text(&input), "-o", text(&output), "--force"];
+        let rest = ["--env-color", "1,1,1", "--solid-angle", "1", "-q", "--stats-json", "-"];
+        let stats = shade(&[&paths[..], &rest].concat());
+        let stats: serde_json::Value = serde_json::from_str(&stats).unwrap();
+        stats["warnings"].as_array().unwrap().clone()
+    };
+    assert_eq!(warnings_of(&|x, y, z| [x, y, z]), [] as [serde_json::Value; 0]);
+    let found = warnings_of(&|x, y, z| [100.0 * x, -100.0 * z, 100.0 * y]);
+    assert_eq!(found.len(), 1, "{found:?}");
+    let warning = found[0].as_str().unwrap();
+    let expected = "+Z is up in it and its unit is 0.01 of the octree's: give 0.01 times (x, z, -y) as position";
+    assert!(warning.contains("in.ply: ") && warning.contains(expected), "{warning}");
+}
+
 /// Shades every surfel of a file, at a solid angle; returns the statistics.
 fn shade_surfels(
     octree: &Path,
