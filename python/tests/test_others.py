@@ -177,7 +177,11 @@ def test_laspy_reads_scans(tmp_path, suffix):
         pytest.importorskip("lazrs")
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales, header.offsets = [0.001] * 3, [500_000, 4_000_000, 100]
-    header.add_extra_dim(laspy.ExtraBytesParams(name="Amplitude", type=np.uint16))
+    header.add_extra_dim(laspy.ExtraBytesParams(name="Amplitude", type=np.uint16, scales=np.array([0.01]), offsets=np.array([5.0])))
+    header.add_extra_dim(laspy.ExtraBytesParams(name="Direction", type="3f4"))
+    # Records before the points, and behind them one that is longer than those before can be.
+    header.vlrs.append(laspy.VLR("surveyor", 7, "before", b"who and when"))
+    behind = [laspy.VLR("surveyor", 8, "behind", bytes(range(256)) * 300), laspy.VLR("LASF_Projection", 2112, "", b"PROJCS[]\0")]
     scan = laspy.LasData(header)
     x, y = np.meshgrid(np.arange(60) * 0.5, np.arange(60) * 0.5)
     scan.x, scan.y = x.ravel() + 500_000, y.ravel() + 4_000_000
@@ -187,7 +191,9 @@ def test_laspy_reads_scans(tmp_path, suffix):
     scan.intensity = rng.integers(0, 2**16, count)
     scan.gps_time = rng.uniform(1e8, 2e8, count)
     scan.classification = np.full(count, 2)
-    scan.Amplitude = rng.integers(0, 2**16, count)
+    scan.Amplitude = rng.uniform(5, 600, count)
+    scan.Direction = rng.normal(size=(count, 3))
+    scan.evlrs = laspy.vlrs.vlrlist.VLRList(behind)
     scan.write(str(tmp_path / f"in.{suffix}"))
     run("bake", tmp_path / f"in.{suffix}", "-o", tmp_path / "scan.pbgi", "-q")
     run(
@@ -200,6 +206,9 @@ def test_laspy_reads_scans(tmp_path, suffix):
         assert np.array_equal(found[name], scan[name]), name
     for axis in "xyz":
         assert np.array_equal(found[axis], scan[axis])
+    assert ("surveyor", 7, b"who and when") in [(r.user_id, r.record_id, r.record_data_bytes()) for r in found.vlrs]
+    records = [[(r.user_id, r.record_id, r.description, r.record_data_bytes()) for r in of] for of in (found.evlrs, scan.evlrs)]
+    assert len(records[1]) == 2 and records[0] == records[1]
     added = ["pbgi_irradiance"] + [f"pbgi_irradiance_{c}" for c in "rgb"] + ["pbgi_ao", "pbgi_sky_visibility"]
     assert [name for name in found.point_format.dimension_names if name not in own] == added
     rgb = np.stack([found[f"pbgi_irradiance_{c}"] for c in "rgb"], axis=1)
