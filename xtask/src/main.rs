@@ -1,5 +1,5 @@
 //! Chores of the workspace: `cargo xtask tidy`, `cargo xtask bless`, `cargo xtask billion`, `cargo xtask truth`,
-//! `cargo xtask cases`, `cargo xtask ci`.
+//! `cargo xtask cases`, `cargo xtask licenses`, `cargo xtask publish`, `cargo xtask dist`, `cargo xtask ci`.
 #![forbid(unsafe_code)]
 
 mod billion;
@@ -7,8 +7,13 @@ mod bless;
 mod cases;
 mod ci;
 mod crate_roots;
+mod dist;
 mod edges;
 mod layout_lock;
+mod licenses;
+mod packages;
+mod publish;
+mod spdx;
 mod text;
 mod truth;
 mod workspace;
@@ -27,6 +32,10 @@ Usage: cargo xtask COMMAND
   truth [--reference] [ARGUMENTS]
                   errors against a ray caster's truth, or against the converged references (minutes); --help tells more
   cases [NAMES]   run the cases beside the workspace, all or those whose names contain one of these (minutes)
+  licenses        check the licenses of all dependencies against deny.toml
+  publish         check that all published crates pack
+  dist [--dry-run] [TARGET]
+                  pack the program with all licenses into target/dist, for Linux static (minutes); or only tell what would be packed
   ci              run every check, as .ci/run does (minutes)
 ";
 
@@ -42,6 +51,9 @@ fn main() -> ExitCode {
         ["billion", surfels, folder] => billion::run(&workspace, surfels, folder),
         ["truth", ref rest @ ..] => truth::run(&workspace, rest),
         ["cases", ref filters @ ..] => cases::run(&workspace, filters),
+        ["licenses"] => licenses::check(&workspace),
+        ["publish"] => publish::check(&workspace),
+        ["dist", ref rest @ ..] => dist::run(&workspace, rest),
         ["ci"] => ci::run(&workspace),
         ["-h" | "--help"] => {
             print!("{USAGE}");
