@@ -38,7 +38,7 @@ class Octree:
         return f"Octree({self.path!r})"
 
     def info(self):
-        """What header and page table say, as `pbgi-info --json` has it."""
+        """What header and page table say, as `pbgi info --json` has them under `header`."""
         return json.loads(_pbgi.info(self.path))
 
 
@@ -64,7 +64,7 @@ def bake(
     """Bakes meshes and point clouds into one octree file and returns the report.
 
     `input` is a path, the name of a procedural scene such as `demo:cornell`, or a list of such; see
-    `pbgi-bake --help` for what each option means.
+    `pbgi bake --help` for what each option means.
     """
     inputs = [input] if isinstance(input, (str, os.PathLike)) else list(input)
     settings = {
@@ -118,9 +118,9 @@ def _shade(
     env_placement="openexr",
     env_rotate=0.0,
     env_scale=1.0,
-    solid_angle=0.03,
+    solid_angle=None,
     target_error=None,
-    raster=16,
+    raster=None,
     check=0,
     gloss=False,
     roughness=None,

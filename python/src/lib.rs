@@ -10,6 +10,7 @@ use crate::settings::BakeSettings;
 use pbgi::{BakeReport, OctreeInfo, PbgiError};
 use pyo3::prelude::*;
 use serde_json::to_string;
+use std::ffi::OsString;
 use std::path::PathBuf;
 
 /// Bakes as asked for; the report as JSON.
@@ -28,6 +29,12 @@ fn info(py: Python<'_>, path: PathBuf) -> PyResult<String> {
     json(py, &read.map_err(|error| raise(py, &error))?)
 }
 
+/// Runs the program `pbgi` in this process, which does nothing else; its exit code.
+#[pyfunction]
+fn run_program(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
+    py.detach(|| pbgi_cli::run(&arguments))
+}
+
 fn json(py: Python<'_>, value: &impl serde::Serialize) -> PyResult<String> {
     let failed = |error| PbgiError::failed(format!("the report is no JSON: {error}"));
     to_string(value).map_err(|error| raise(py, &failed(error)))
@@ -38,5 +45,6 @@ fn _pbgi(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add_function(wrap_pyfunction!(bake, module)?)?;
     module.add_function(wrap_pyfunction!(info, module)?)?;
+    module.add_function(wrap_pyfunction!(run_program, module)?)?;
     module.add_function(wrap_pyfunction!(shade::shade, module)?)
 }

@@ -102,9 +102,9 @@ impl BakeSettings {
 #[pyo3(from_item_all)]
 pub struct Shading {
     env: Light,
-    solid_angle: f32,
+    solid_angle: Option<f32>,
     target_error: Option<f64>,
-    raster: usize,
+    raster: Option<usize>,
     check: usize,
     gloss: bool,
     roughness: Option<f32>,
@@ -121,16 +121,17 @@ impl Shading {
         let numbers = GlossSettings { roughness, metalness, specular };
         let is_glossy = self.gloss || numbers != GlossSettings::default();
         let memory_bytes = parse_bytes(&self.memory_limit)?;
+        let own = ShadeSettings::default();
         Ok(ShadeSettings {
             environment: self.env.spec()?,
-            solid_angle_sr: self.solid_angle,
+            solid_angle_sr: self.solid_angle.unwrap_or(own.solid_angle_sr),
             target_error: self.target_error,
-            raster_edge: self.raster,
+            raster_edge: self.raster.unwrap_or(own.raster_edge),
             check_receivers: self.check,
             gloss: is_glossy.then_some(numbers),
             threads: thread_count(self.threads, memory_bytes),
             memory_bytes,
-            ..ShadeSettings::default()
+            ..own
         })
     }
 }

@@ -1,15 +1,12 @@
-"""Other programs' libraries open what the tools write, and find the values that are expected.
+"""Other programs' libraries open what the program writes, and find the values that are expected.
 
-The tools are those in the folder PBGI_BIN, or in `target/release` of the clone, or on the PATH. What is not there is skipped; `pytest -rs`
-says so.
+Libraries that are not there are skipped; `pytest -rs` says so.
 """
 
 import csv
 import json
-import os
-import pathlib
-import shutil
 import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -22,21 +19,9 @@ LIGHT = ["--env-color", "1,0.5,0.25"]
 CAMERA = ["--camera-position=4,3,6", "--camera-target=0,0.5,0", "--resolution", "64x48"]
 
 
-def find_tool(name):
-    clone = pathlib.Path(__file__).resolve().parents[2]
-    for folder in [os.environ.get("PBGI_BIN"), clone / os.environ.get("CARGO_TARGET_DIR", "target") / "release"]:
-        found = folder and shutil.which(name, path=str(folder))
-        if found:
-            return found
-    return shutil.which(name)
-
-
-def run(name, *arguments):
-    """Runs a tool, which must succeed; its standard output."""
-    tool = find_tool(name)
-    if tool is None:
-        pytest.skip(f"{name} is not built (cargo build --release --package {name})")
-    done = subprocess.run([tool, *map(str, arguments)], capture_output=True, text=True)
+def run(command, *arguments):
+    """Runs a command of the program that comes with the module, which must succeed; its standard output."""
+    done = subprocess.run([sys.executable, "-m", "pbgi", command, *map(str, arguments)], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -59,7 +44,8 @@ def read_exr(path):
 def write_exr(path, channels):
     OpenEXR = pytest.importorskip("OpenEXR")
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    OpenEXR.File(header, channels).write(str(path))
+    # The library puts channels of its own in place of the arrays: a copy keeps them.
+    OpenEXR.File(header, dict(channels)).write(str(path))
 
 
 def vector(channels, layer, components="XYZ"):
@@ -74,7 +60,7 @@ def picture(octree):
     for preset in ["arnold", "blender", "renderman"]:
         more = ["--preview", folder / "arnold.png", "--contact-sheet", folder / "sheet.png"] if preset == "arnold" else []
         run(
-            "pbgi-shade", octree, "--scene", SCENE, *LIGHT, *CAMERA, "-o", folder / f"{preset}.exr",
+            "shade", octree, "--scene", SCENE, *LIGHT, *CAMERA, "-o", folder / f"{preset}.exr",
             "--aov-names", preset, "--stats-json", folder / f"{preset}.json", "-q", *more,
         )
     return {preset: read_exr(folder / f"{preset}.exr") for preset in ["arnold", "blender", "renderman"]}
@@ -134,7 +120,7 @@ def test_gbuffers_written_by_openexr_come_back(picture, octree, tmp_path):
     given["half"] = rng.normal(size=(48, 64)).astype(np.float16)
     write_exr(tmp_path / "g.exr", given)
     run(
-        "pbgi-shade", octree, "--gbuffer", tmp_path / "g.exr", "--pass-through", *LIGHT, "--aovs", "irradiance,AO",
+        "shade", octree, "--gbuffer", tmp_path / "g.exr", "--pass-through", *LIGHT, "--aovs", "irradiance,AO",
         "-o", tmp_path / "o.exr", "-q",
     )
     found = read_exr(tmp_path / "o.exr")[1]
@@ -165,7 +151,7 @@ def test_plyfile_numpy_and_csv_read_the_same_points(octree, tmp_path):
     elements = [plyfile.PlyElement.describe(vertices, "vertex"), plyfile.PlyElement.describe(faces, "face")]
     plyfile.PlyData(elements).write(str(tmp_path / "in.ply"))
     for name in ["out.ply", "out.npy", "out.csv"]:
-        run("pbgi-shade", octree, "--receivers", tmp_path / "in.ply", *LIGHT, "-o", tmp_path / name, "-q")
+        run("shade", octree, "--receivers", tmp_path / "in.ply", *LIGHT, "-o", tmp_path / name, "-q")
     ply = plyfile.PlyData.read(str(tmp_path / "out.ply"))
     rows, table = ply["vertex"].data, np.load(tmp_path / "out.npy")
     assert rows.dtype.names == table.dtype.names
@@ -191,7 +177,11 @@ def test_laspy_reads_scans(tmp_path, suffix):
         pytest.importorskip("lazrs")
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales, header.offsets = [0.001] * 3, [500_000, 4_000_000, 100]
-    header.add_extra_dim(laspy.ExtraBytesParams(name="Amplitude", type=np.uint16))
+    header.add_extra_dim(laspy.ExtraBytesParams(name="Amplitude", type=np.uint16, scales=np.array([0.01]), offsets=np.array([5.0])))
+    header.add_extra_dim(laspy.ExtraBytesParams(name="Direction", type="3f4"))
+    # Records before the points, and behind them one that is longer than those before can be.
+    header.vlrs.append(laspy.VLR("surveyor", 7, "before", b"who and when"))
+    behind = [laspy.VLR("surveyor", 8, "behind", bytes(range(256)) * 300), laspy.VLR("LASF_Projection", 2112, "", b"PROJCS[]\0")]
     scan = laspy.LasData(header)
     x, y = np.meshgrid(np.arange(60) * 0.5, np.arange(60) * 0.5)
     scan.x, scan.y = x.ravel() + 500_000, y.ravel() + 4_000_000
@@ -201,11 +191,13 @@ def test_laspy_reads_scans(tmp_path, suffix):
     scan.intensity = rng.integers(0, 2**16, count)
     scan.gps_time = rng.uniform(1e8, 2e8, count)
     scan.classification = np.full(count, 2)
-    scan.Amplitude = rng.integers(0, 2**16, count)
+    scan.Amplitude = rng.uniform(5, 600, count)
+    scan.Direction = rng.normal(size=(count, 3))
+    scan.evlrs = laspy.vlrs.vlrlist.VLRList(behind)
     scan.write(str(tmp_path / f"in.{suffix}"))
-    run("pbgi-bake", tmp_path / f"in.{suffix}", "-o", tmp_path / "scan.pbgi", "-q")
+    run("bake", tmp_path / f"in.{suffix}", "-o", tmp_path / "scan.pbgi", "-q")
     run(
-        "pbgi-shade", tmp_path / "scan.pbgi", "--receivers", tmp_path / f"in.{suffix}", "--env-color", "1,1,1",
+        "shade", tmp_path / "scan.pbgi", "--receivers", tmp_path / f"in.{suffix}", "--env-color", "1,1,1",
         "-o", tmp_path / f"out.{suffix}", "-q",
     )
     found = laspy.read(str(tmp_path / f"out.{suffix}"))
@@ -214,6 +206,9 @@ def test_laspy_reads_scans(tmp_path, suffix):
         assert np.array_equal(found[name], scan[name]), name
     for axis in "xyz":
         assert np.array_equal(found[axis], scan[axis])
+    assert ("surveyor", 7, b"who and when") in [(r.user_id, r.record_id, r.record_data_bytes()) for r in found.vlrs]
+    records = [[(r.user_id, r.record_id, r.description, r.record_data_bytes()) for r in of] for of in (found.evlrs, scan.evlrs)]
+    assert len(records[1]) == 2 and records[0] == records[1]
     added = ["pbgi_irradiance"] + [f"pbgi_irradiance_{c}" for c in "rgb"] + ["pbgi_ao", "pbgi_sky_visibility"]
     assert [name for name in found.point_format.dimension_names if name not in own] == added
     rgb = np.stack([found[f"pbgi_irradiance_{c}"] for c in "rgb"], axis=1)
@@ -227,7 +222,7 @@ def test_plyfile_reads_exported_surfels(octree, tmp_path):
     plyfile = pytest.importorskip("plyfile")
     info = pbgi.Octree(octree).info()
     for name in ["s.ply", "s.ptc"]:
-        run("pbgi-info", octree, "--points", tmp_path / name, "-q")
+        run("info", octree, "--points", tmp_path / name, "-q")
     surfels = plyfile.PlyData.read(str(tmp_path / "s.ply"))["vertex"]
     assert surfels.count == info["surfels"]
     assert surfels["area"].astype(float).sum() == pytest.approx(info["area_total"], rel=1e-3)
@@ -242,7 +237,7 @@ def test_plyfile_reads_exported_surfels(octree, tmp_path):
 
 
 def test_surfels_as_an_array_are_what_python_shades(octree, tmp_path):
-    run("pbgi-shade", octree, "--surfels", *LIGHT, "-o", tmp_path / "s.npy", "-q")
+    run("shade", octree, "--surfels", *LIGHT, "-o", tmp_path / "s.npy", "-q")
     table = np.load(tmp_path / "s.npy")
     places, normals = (np.stack([table[n] for n in names], axis=1) for names in (("x", "y", "z"), ("nx", "ny", "nz")))
     light = pbgi.shade_points(octree, places, normals, env=(1, 0.5, 0.25))
@@ -270,6 +265,6 @@ def test_trimesh_reads_a_shaded_mesh(tmp_path, octree):
     mesh = trimesh.load(str(tmp_path / "in.ply"), process=False)
     mesh.vertex_normals
     mesh.export(str(tmp_path / "normals.ply"), vertex_normal=True)
-    run("pbgi-shade", octree, "--receivers", tmp_path / "normals.ply", *LIGHT, "-o", tmp_path / "lit.ply", "-q")
+    run("shade", octree, "--receivers", tmp_path / "normals.ply", *LIGHT, "-o", tmp_path / "lit.ply", "-q")
     lit = trimesh.load(str(tmp_path / "lit.ply"), process=False)
     assert np.array_equal(lit.faces, mesh.faces) and np.allclose(lit.vertices, mesh.vertices)

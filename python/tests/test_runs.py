@@ -97,14 +97,27 @@ def test_exceptions_say_who_has_to_act(tmp_path, wall):
         (pbgi.UsageError, 2, "same", lambda: pbgi.shade_points(wall, np.ones((2, 3)), np.ones((1, 3)))),
         (pbgi.UsageError, 2, "irradiance", lambda: pbgi.shade_points(wall, np.ones((1, 3)), np.ones((1, 3)), results=["light"])),
         (pbgi.UsageError, 2, "64MiB", lambda: pbgi.bake("demo:cornell", tmp_path / "x.pbgi", memory_limit="1MiB")),
+        (pbgi.Error, 1, "mkdir -p", lambda: pbgi.bake("demo:cornell", tmp_path / "none" / "x.pbgi")),
+        (pbgi.BudgetError, 4, "temporary files", lambda: pbgi.bake("demo:street", tmp_path / "x.pbgi", surfels="100G")),
         (pbgi.UsageError, 2, "size", lambda: pbgi.bake("demo:cornell", tmp_path / "x.pbgi", memory_limit="much")),
     ]
     for kind, code, words, call in cases:
         with pytest.raises(kind) as caught:
             call()
         assert words in str(caught.value), caught.value
-        assert caught.value.exit_code == code
+        assert caught.type is kind and caught.value.exit_code == code
         assert isinstance(caught.value, pbgi.Error)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_limit_that_an_input_exceeds_is_a_budget_error(tmp_path, wall):
+    OpenEXR = pytest.importorskip("OpenEXR")
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    sky = np.zeros((4096, 8192, 3), dtype=np.float16)
+    OpenEXR.File(header, {"RGB": sky}).write(str(tmp_path / "sky.exr"))
+    with pytest.raises(pbgi.BudgetError, match="memory") as caught:
+        pbgi.shade_points(wall, np.ones((1, 3)), np.ones((1, 3)), env=tmp_path / "sky.exr", memory_limit="64MiB")
+    assert caught.value.exit_code == 4
 
 
 def test_damage_is_an_input_error(tmp_path):

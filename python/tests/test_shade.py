@@ -1,5 +1,7 @@
 """Light in closed form: open sky, half of it, a closed room."""
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -95,6 +97,22 @@ def test_the_error_is_measured(wall):
 def test_no_light_is_warned_of(wall):
     with pytest.warns(UserWarning, match="no environment"):
         pbgi.shade_points(wall, [[0.5, 0, 0]], UP, results=["ambient_occlusion"])
+
+
+def test_points_of_other_axes_and_units_are_warned_of(wall, tmp_path):
+    # On the wall, x = 0, as a program that has Z up and counts in centimeters would name them.
+    rng = np.random.default_rng(4)
+    y, z = rng.uniform(-90, 90, (2, 100))
+    places = 100 * np.stack([np.zeros(100), -z, y], axis=1)
+    normals = np.broadcast_to([1, 0, 0], (100, 3))
+    report = {}
+    with pytest.warns(UserWarning, match="is up in it|its unit is 0.01 of"):
+        pbgi.shade_points(wall, places, normals, env=1.0, report=report)
+    assert any("0.01 times" in text for text in report["warnings"])
+    # Points in the air are no mistake.
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        pbgi.shade_points(wall, places / 100 + [60, 0, 0], normals, env=1.0)
 
 
 def test_no_points_give_no_rows(wall):

@@ -192,6 +192,17 @@ fn judge(check: &Check, said: &str, folder: &Path) -> Option<String> {
             let holds = found.len() == expected.len() && found.iter().zip(expected).all(near);
             (!holds).then(|| format!("{column} of {file} is {found:?}, expected {expected:?}"))
         }
+        Check::Largest { file, column, row } => {
+            let values = column_values(&folder.join(file), column).unwrap_or_default();
+            let found = (0..values.len()).max_by(|a, b| values[*a].total_cmp(&values[*b]));
+            (found != Some(row))
+                .then(|| format!("{column} of {file} is largest in row {found:?}, expected {row}"))
+        }
+        Check::Holds { file, text } => {
+            let bytes = fs::read(folder.join(file)).unwrap_or_default();
+            let holds = bytes.windows(text.len()).any(|part| part == text.as_bytes());
+            (!holds).then(|| format!("{file} does not hold `{text}`"))
+        }
     }
 }
 

@@ -1,5 +1,6 @@
 //! Chores of the workspace: `cargo xtask tidy`, `cargo xtask bless`, `cargo xtask billion`, `cargo xtask truth`,
-//! `cargo xtask cases`, `cargo xtask hard-cases`, `cargo xtask faults`, `cargo xtask ci`.
+//! `cargo xtask cases`, `cargo xtask hard-cases`, `cargo xtask faults`, `cargo xtask licenses`, `cargo xtask publish`, `cargo xtask dist`,
+//! `cargo xtask ci`.
 #![forbid(unsafe_code)]
 
 mod billion;
@@ -7,10 +8,15 @@ mod bless;
 mod cases;
 mod ci;
 mod crate_roots;
+mod dist;
 mod edges;
 mod faults;
 mod hard_cases;
 mod layout_lock;
+mod licenses;
+mod packages;
+mod publish;
+mod spdx;
 mod text;
 mod truth;
 mod workspace;
@@ -35,6 +41,10 @@ Usage: cargo xtask COMMAND
                   measure the hard cases, all or those whose names contain one of these, and compare them with what is promised (minutes)
   faults [--short]
                   fail, fill and kill every program at calls on files (minutes, with --short a few moments of each kind)
+  licenses        check the licenses of all dependencies against deny.toml
+  publish         check that all published crates pack
+  dist [--dry-run] [TARGET]
+                  pack the program with all licenses into target/dist, for Linux static (minutes); or only tell what would be packed
   ci              run every check, as .ci/run does (minutes)
 ";
 
@@ -54,6 +64,9 @@ fn main() -> ExitCode {
         ["cases", ref filters @ ..] => cases::run(&workspace, filters),
         ["faults"] => faults::run(&workspace, false),
         ["faults", "--short"] => faults::run(&workspace, true),
+        ["licenses"] => licenses::check(&workspace),
+        ["publish"] => publish::check(&workspace),
+        ["dist", ref rest @ ..] => dist::run(&workspace, rest),
         ["ci"] => ci::run(&workspace),
         ["-h" | "--help"] => {
             print!("{USAGE}");

@@ -283,6 +283,7 @@ const LASZIP_USER: &str = "laszip encoded";
 const LASZIP_RECORD: u16 = 22204;
 const SPEC_USER: &str = "LASF_Spec";
 const EXTRA_BYTES_RECORD: u16 = 4;
+const WAVEFORM_RECORD: u16 = 65535;
 
 /// Everything before the points.
 struct Head {
@@ -293,6 +294,8 @@ struct Head {
     rest: Vec<u8>,
     /// Extended records: the place of each in the file, and its bytes.
     extended: Vec<(u64, u64)>,
+    /// Place of the one that holds waveforms, if it is among them.
+    waveforms: u64,
 }
 
 /// A variable length record.
@@ -317,6 +320,28 @@ impl Record {
 
 fn is_user(field: &[u8], user: &str) -> bool {
     field.split(|b| *b == 0).next() == Some(user.as_bytes())
+}
+
+/// Whether this is the head of an extended record of such a user and number.
+fn is_extended(head: &[u8; EXTENDED_HEAD_BYTES], user: &str, id: u16) -> bool {
+    is_user(&head[2..18], user) && head[18..20] == id.to_le_bytes()
+}
+
+/// Head and bytes in all of the extended record at a place, whose data is what is read next; none where the file has no room for it.
+fn read_extended_head(
+    file: &mut File,
+    file_bytes: u64,
+    at: u64,
+) -> std::io::Result<Option<([u8; EXTENDED_HEAD_BYTES], u64)>> {
+    if at > file_bytes.saturating_sub(EXTENDED_HEAD_BYTES as u64) {
+        return Ok(None);
+    }
+    file.seek(SeekFrom::Start(at))?;
+    let mut head = [0; EXTENDED_HEAD_BYTES];
+    file.read_exact(&mut head)?;
+    let length = u64::from_le_bytes(array_at(&head, 20));
+    let bytes = length.saturating_add(EXTENDED_HEAD_BYTES as u64);
+    Ok((bytes <= file_bytes - at).then_some((head, bytes)))
 }
 
 impl Head {
@@ -356,47 +381,55 @@ impl Head {
         }
         let rest = rest.to_vec();
         bytes.truncate(header_bytes);
-        let mut head = Self { header: bytes, records, rest, extended: Vec::new() };
+        let mut head = Self { header: bytes, records, rest, extended: Vec::new(), waveforms: 0 };
         // Of compression and of the index of COPC nothing stays true.
         head.records
             .retain(|r| !r.is(LASZIP_USER, LASZIP_RECORD) && !is_user(&r.head[2..18], "copc"));
         Ok(head.find_extended(file, file_bytes)?.map(|()| head))
     }
 
-    /// Finds the extended records of LAS 1.4.
+    /// Finds the records behind the points: the extended ones of LAS 1.4, and that of waveforms, which LAS 1.3 has there, too. Descriptions
+    /// of extra dimensions go to those before the points, where all readers look for them.
     fn find_extended(
         &mut self,
         file: &mut File,
         file_bytes: u64,
     ) -> std::io::Result<Result<(), String>> {
-        if !self.has_extended_fields() {
-            return Ok(Ok(()));
+        let (mut at, mut count) = (0, 0);
+        if self.has_extended_fields() {
+            at = u64::from_le_bytes(array_at(&self.header, 235));
+            count = u32::from_le_bytes(array_at(&self.header, 243));
         }
-        let mut at = u64::from_le_bytes(array_at(&self.header, 235));
-        let count = u32::from_le_bytes(array_at(&self.header, 243));
         for number in 0..count {
-            let damaged = || Ok(Err(format!("extended record {number} is damaged")));
-            if at > file_bytes.saturating_sub(EXTENDED_HEAD_BYTES as u64) {
-                return damaged();
-            }
-            file.seek(SeekFrom::Start(at))?;
-            let mut head = [0; EXTENDED_HEAD_BYTES];
-            file.read_exact(&mut head)?;
-            let length = u64::from_le_bytes(array_at(&head, 20));
-            let bytes = length.saturating_add(EXTENDED_HEAD_BYTES as u64);
-            if bytes > file_bytes - at {
-                return damaged();
-            }
-            if is_user(&head[2..18], SPEC_USER) && head[18..20] == [4, 0] {
-                let message = "its extra dimensions are described behind the points, which is not written again here";
-                return Ok(Err(message.into()));
-            }
-            if !is_user(&head[2..18], "copc") {
+            let Some((head, bytes)) = read_extended_head(file, file_bytes, at)? else {
+                return Ok(Err(format!("extended record {number} is damaged")));
+            };
+            if is_extended(&head, SPEC_USER, EXTRA_BYTES_RECORD) {
+                let mut data = Vec::new();
+                let most = u64::from(u16::MAX) + 1;
+                Read::by_ref(file)
+                    .take(most.min(bytes - EXTENDED_HEAD_BYTES as u64))
+                    .read_to_end(&mut data)?;
+                self.records.push(Record::new(SPEC_USER, EXTRA_BYTES_RECORD, data));
+            } else if !is_user(&head[2..18], "copc") {
                 self.extended.push((at, bytes));
             }
             at += bytes;
         }
+        if self.has_waveform_field() {
+            self.waveforms = u64::from_le_bytes(array_at(&self.header, 227));
+        }
+        if self.waveforms != 0 && self.extended.iter().all(|(at, _)| *at != self.waveforms) {
+            // Else they are in a file of their own, or nowhere.
+            let found = read_extended_head(file, file_bytes, self.waveforms)?;
+            let found = found.filter(|(head, _)| is_extended(head, SPEC_USER, WAVEFORM_RECORD));
+            self.extended.extend(found.map(|(_, bytes)| (self.waveforms, bytes)));
+        }
         Ok(Ok(()))
+    }
+
+    fn has_waveform_field(&self) -> bool {
+        self.header[25] >= 3 && self.header.len() >= 235
     }
 
     fn has_extended_fields(&self) -> bool {
@@ -467,6 +500,9 @@ impl Head {
             // Where they begin is known when the points are written.
             bytes[235..247].fill(0);
         }
+        if self.has_waveform_field() {
+            bytes[227..235].fill(0);
+        }
         Ok(bytes)
     }
 
@@ -476,14 +512,26 @@ impl Head {
             return Ok(());
         }
         let start = output.seek(SeekFrom::End(0))?;
+        let (mut next, mut waveforms) = (start, 0);
         let mut input = open_input(input)?;
         for (at, bytes) in &self.extended {
+            if *at == self.waveforms {
+                waveforms = next;
+            }
             input.seek(SeekFrom::Start(*at))?;
             std::io::copy(&mut Read::by_ref(&mut input).take(*bytes), output)?;
+            next += bytes;
         }
-        output.seek(SeekFrom::Start(235))?;
-        output.write_all(&start.to_le_bytes())?;
-        output.write_all(&(self.extended.len() as u32).to_le_bytes())
+        if waveforms != 0 {
+            output.seek(SeekFrom::Start(227))?;
+            output.write_all(&waveforms.to_le_bytes())?;
+        }
+        if self.has_extended_fields() {
+            output.seek(SeekFrom::Start(235))?;
+            output.write_all(&start.to_le_bytes())?;
+            output.write_all(&(self.extended.len() as u32).to_le_bytes())?;
+        }
+        Ok(())
     }
 }
 
@@ -625,6 +673,68 @@ mod tests {
         assert!(described[2].1.starts_with(b"pbgi_ao\0"));
         let message = add_results(&output, &again).unwrap_err().to_string();
         assert!(message.contains("`pbgi_irradiance` already") && !again.exists(), "{message}");
+    }
+
+    /// An extended record.
+    fn extended(user: &str, id: u16, data: &[u8]) -> Vec<u8> {
+        let mut bytes = vec![0; EXTENDED_HEAD_BYTES];
+        bytes[2..2 + user.len()].copy_from_slice(user.as_bytes());
+        bytes[18..20].copy_from_slice(&id.to_le_bytes());
+        bytes[20..28].copy_from_slice(&(data.len() as u64).to_le_bytes());
+        [&bytes, data].concat()
+    }
+
+    #[test]
+    fn dimensions_described_behind_the_points_are_described_before_them() {
+        let folder = tempfile::tempdir().unwrap();
+        let [input, output] = ["a.las", "b.las"].map(|name| folder.path().join(name));
+        write(&input, 6, (1, 4), 4, false);
+        let mut bytes = std::fs::read(&input).unwrap();
+        // The one record behind the points gets a neighbor.
+        bytes.extend(extended(SPEC_USER, EXTRA_BYTES_RECORD, &dimension(TYPE_FLOAT, 0, "height")));
+        bytes[243..247].copy_from_slice(&2u32.to_le_bytes());
+        std::fs::write(&input, bytes).unwrap();
+        add_results(&input, &output).unwrap();
+        let head = Head::read(&output).unwrap();
+        assert_eq!(head.extended.len(), 1);
+        let record = head.records.iter().find(|r| r.is(SPEC_USER, EXTRA_BYTES_RECORD)).unwrap();
+        let names: Vec<&[u8]> = record
+            .data
+            .chunks(DIMENSION_BYTES)
+            .map(|d| d[4..36].split(|byte| *byte == 0).next().unwrap())
+            .collect();
+        assert_eq!(names, [b"height".as_slice(), NAMES[0].as_bytes(), NAMES[1].as_bytes()]);
+        let reader = las::Reader::from_path(&output).unwrap();
+        assert_eq!(reader.header().evlrs().len(), 1);
+    }
+
+    /// In LAS 1.4 they are one of the extended records, in LAS 1.3 the only one, which only their own field names.
+    #[test]
+    fn waveforms_come_back_and_are_found() {
+        let folder = tempfile::tempdir().unwrap();
+        let [input, output] = ["a.las", "b.las"].map(|name| folder.path().join(name));
+        let waveforms = extended(SPEC_USER, WAVEFORM_RECORD, b"some waves");
+        for (id, version) in [(3, (1, 3)), (6, (1, 4))] {
+            write(&input, id, version, 0, false);
+            let mut bytes = std::fs::read(&input).unwrap();
+            let place = bytes.len() as u64;
+            bytes.extend(&waveforms);
+            bytes[227..235].copy_from_slice(&place.to_le_bytes());
+            if version == (1, 4) {
+                bytes[243..247].copy_from_slice(&2u32.to_le_bytes());
+            }
+            std::fs::write(&input, &bytes).unwrap();
+            add_results(&input, &output).unwrap();
+            let written = std::fs::read(&output).unwrap();
+            let place = u64::from_le_bytes(array_at(&written, 227)) as usize;
+            assert_eq!(written[place..], waveforms, "{version:?}");
+            // A field that leads nowhere, such as to a file of their own, stays behind.
+            bytes[227..235].copy_from_slice(&7u64.to_le_bytes());
+            std::fs::write(&input, &bytes).unwrap();
+            add_results(&input, &output).unwrap();
+            let written = std::fs::read(&output).unwrap();
+            assert_eq!(written[227..235], [0; 8], "{version:?}");
+        }
     }
 
     #[test]

@@ -17,6 +17,8 @@ pub struct ReceiverTable {
     pub positions: Vec<Vec3>,
     /// Unit normals.
     pub normals: Vec<Vec3>,
+    /// Position in the world and normal of each as the file has them, with all their digits and of any length; empty where no file does.
+    pub given: Vec<[f64; 6]>,
     /// The other scalar columns, each as long as `positions`.
     pub columns: Vec<ReceiverColumn>,
 }
@@ -64,6 +66,7 @@ impl ReceiverTable {
         self.origin = origin;
         self.positions.clear();
         self.normals.clear();
+        self.given.clear();
         self.columns.truncate(columns.len());
         self.columns.resize_with(columns.len(), ReceiverColumn::default);
         for (column, TypedColumn { name, kind }) in self.columns.iter_mut().zip(columns) {
@@ -170,6 +173,13 @@ impl ReceiverReader {
         self.origin
     }
 
+    /// Types of the columns of positions and normals.
+    #[must_use]
+    pub fn given_kinds(&self) -> [PlyType; 6] {
+        let ([x, y, z], [nx, ny, nz]) = (self.position, self.normal);
+        [x, y, z, nx, ny, nz].map(|column| column.ty)
+    }
+
     /// The columns besides positions and normals.
     #[must_use]
     pub fn columns(&self) -> &[TypedColumn] {
@@ -218,6 +228,7 @@ impl ReceiverReader {
         }
         table.positions.push((p - self.origin).as_vec3());
         table.normals.push(unit.as_vec3());
+        table.given.push([p.x, p.y, p.z, n.x, n.y, n.z]);
         for (column, source) in table.columns.iter_mut().zip(&self.others) {
             let value = self.row.scalar(*source);
             column.values.push(value as f32);
@@ -290,6 +301,21 @@ mod tests {
         assert_eq!(kinds, [PlyType::I32, PlyType::F64, PlyType::U8]);
         let elements = reader.other_elements();
         assert_eq!((elements.len(), elements[0].name.as_str()), (1, "face"));
+    }
+
+    #[test]
+    fn positions_and_normals_are_kept_as_given() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("t.ply");
+        let text = "ply\nformat ascii 1.0\nelement vertex 1\nproperty double x\nproperty double y\n\
+            property double z\nproperty float nx\nproperty float ny\nproperty double nz\nend_header\n\
+            500000.123456789 0.1 -3 0 0.5 0.3\n";
+        std::fs::write(&path, text).unwrap();
+        let table = ReceiverTable::read(&path).unwrap();
+        assert_eq!(table.given, [[500_000.123_456_789, 0.1, -3.0, 0.0, 0.5, 0.3]]);
+        let kinds = ReceiverReader::open(&path).unwrap().given_kinds();
+        let [single, double] = [PlyType::F32, PlyType::F64];
+        assert_eq!(kinds, [double, double, double, single, single, double]);
     }
 
     #[test]

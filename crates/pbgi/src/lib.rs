@@ -29,7 +29,6 @@ pub use bake::relight::{BOUNCES_MAX, LightRequest};
 pub use bake::report::{BakeReport, BytesPerSurfel, PhaseReport};
 pub use bake::request::{BakeRequest, NormalsChoice};
 pub use budget::limit::{MEMORY_LIMIT_MIN, check_memory_limit, thread_count};
-pub use budget::resident::{peak_resident_bytes, resident_bytes};
 pub use budget::split::MemorySplit;
 pub use error::{
     EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED, EXIT_MISUSED, EXIT_RESOURCES, PbgiError,
@@ -43,6 +42,7 @@ pub use inspect::{LevelInfo, OctreeCheck, OctreeInfo};
 pub use output_path::check_suffix;
 pub use outputs::{Output, OutputKind, RunFiles, check_writable, write_statistics};
 pub use pbgi_cloud::{ClassFilter, CloudOptions, InvalidPolicy, PlyWriter};
+pub use pbgi_file::platform::{peak_resident_bytes, resident_bytes};
 pub use pbgi_gather::{ImportanceTerms, Material, Shading};
 pub use pbgi_image::{Aov, AovNames, AovPreset, write_environment_exr};
 pub use pbgi_light::{SkyParameters, UpAxis, synthetic_sky};

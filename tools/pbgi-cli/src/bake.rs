@@ -285,7 +285,7 @@ pub fn run(args: &BakeArgs, cancel: &AtomicBool) -> Result<(), PbgiError> {
 /// The program `pbgi-bake`.
 pub fn main() -> ExitCode {
     let args = BakeArgs::parse();
-    cli::run("pbgi-bake", |cancel| run(&args, cancel))
+    cli::run("pbgi-bake", |cancel| run(&args, cancel)).into()
 }
 
 #[cfg(test)]

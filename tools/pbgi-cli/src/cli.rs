@@ -7,7 +7,6 @@ use pbgi::{
 };
 use std::io::{ErrorKind, Write};
 use std::path::Path;
-use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// What the code means that a command ends with.
@@ -19,6 +18,9 @@ Exit codes:
     3  an input is missing, damaged or of no known kind (also: warnings, with --strict)
     4  disk space, quota or memory limit do not suffice
   130  interrupted; nothing half-written stays";
+
+/// The exit code of a command that did what it was told.
+const EXIT_DONE: u8 = 0;
 
 /// Options of every tool.
 #[derive(Clone, Copy, Debug, clap::Args)]
@@ -181,12 +183,9 @@ pub fn parse_resolution(text: &str) -> Result<[u32; 2], String> {
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
 /// Runs a tool: `body` gets a flag that Ctrl-C (or a termination signal) sets. An error goes to
-/// standard error after the tool's name, and decides the exit code. A second Ctrl-C ends the
+/// standard error after the tool's name, and decides the exit code, which is returned. A second Ctrl-C ends the
 /// process at once.
-pub fn run(
-    tool: &str,
-    body: impl FnOnce(&'static AtomicBool) -> Result<(), PbgiError>,
-) -> ExitCode {
+pub fn run(tool: &str, body: impl FnOnce(&'static AtomicBool) -> Result<(), PbgiError>) -> u8 {
     let handler = || {
         if INTERRUPTED.swap(true, Ordering::Relaxed) {
             std::process::exit(i32::from(EXIT_INTERRUPTED));
@@ -195,10 +194,10 @@ pub fn run(
     // Without a handler Ctrl-C still works, only less cleanly.
     let _ = ctrlc::set_handler(handler);
     match body(&INTERRUPTED) {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(()) => EXIT_DONE,
         Err(error) => {
             tell(&format!("{tool}: {error}"));
-            ExitCode::from(error.exit_code())
+            error.exit_code()
         }
     }
 }

@@ -113,7 +113,7 @@ fn print_check(args: &InfoArgs, check: &OctreeCheck) -> Result<(), PbgiError> {
 /// The program `pbgi-info`.
 pub fn main() -> ExitCode {
     let args = InfoArgs::parse();
-    cli::run("pbgi-info", |cancel| run(&args, cancel))
+    cli::run("pbgi-info", |cancel| run(&args, cancel)).into()
 }
 
 #[cfg(test)]

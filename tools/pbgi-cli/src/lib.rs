@@ -14,7 +14,9 @@ pub mod shade;
 
 use clap::{CommandFactory, Parser, Subcommand};
 use clap_complete::Shell;
-use pbgi::PbgiError;
+use pbgi::{EXIT_MISUSED, PbgiError};
+use std::ffi::OsString;
+use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -59,10 +61,31 @@ enum Command {
 
 /// The program `pbgi`.
 pub fn main() -> ExitCode {
-    if let Some(cure) = std::env::args_os().nth(1).and_then(|first| advice::command_for(&first)) {
+    let arguments: Vec<OsString> = std::env::args_os().collect();
+    run(&arguments).into()
+}
+
+/// Runs the program with `arguments`, of which the first is its name, and returns its exit code. Takes over the signals that stop a program:
+/// for processes that do nothing else.
+pub fn run(arguments: &[OsString]) -> u8 {
+    if let Some(cure) = arguments.get(1).and_then(|first| advice::command_for(first)) {
         return cli::run("pbgi", |_| Err(PbgiError::usage(cure)));
     }
-    match Pbgi::parse().command {
+    let code = match Pbgi::try_parse_from(arguments) {
+        Ok(Pbgi { command }) => run_command(command),
+        // Help and version are errors to clap, with the code 0.
+        Err(error) => {
+            let _ = error.print();
+            u8::try_from(error.exit_code()).unwrap_or(EXIT_MISUSED)
+        }
+    };
+    // A process that is not a program of Rust flushes nothing of ours when it ends.
+    let _ = std::io::stdout().flush();
+    code
+}
+
+fn run_command(command: Command) -> u8 {
+    match command {
         Command::Bake(args) => cli::run("pbgi bake", |cancel| bake::run(&args, cancel)),
         Command::Shade(args) => cli::run("pbgi shade", |cancel| shade::run(&args, cancel)),
         Command::Info(args) => cli::run("pbgi info", |cancel| info::run(&args, cancel)),

@@ -15,9 +15,13 @@ pub enum Check {
     Column { file: &'static str, column: &'static str, expected: f64, tolerance: f64 },
     /// All values of a column of a file that it writes, within 2 %.
     Values { file: &'static str, column: &'static str, expected: &'static [f64] },
+    /// The row with the largest value of a column of a file that it writes.
+    Largest { file: &'static str, column: &'static str, row: usize },
+    /// A file that it writes holds this text.
+    Holds { file: &'static str, text: &'static str },
 }
 
-use Check::{Areas, Column, Never, Says, Values};
+use Check::{Areas, Column, Holds, Largest, Never, Says, Values};
 
 fn albedo(column: &'static str, expected: f64) -> Check {
     Column { file: "surfels.ply", column, expected, tolerance: 0.01 }
@@ -42,6 +46,10 @@ pub fn checks_of(case: &str) -> Vec<Check> {
         "gltf-glass-blocks" => vec![Says("material pane lets light through")],
         "env-cropped" => vec![lit("lit.csv", &[1.571, 0.0, 1.571, 0.0, 0.785, 0.785])],
         "env-chromaticities" => vec![lit("lit.csv", &[PI; 6]), lit("lit2.csv", &[PI; 6])],
+        "env-orientation" => vec![
+            Largest { file: "lit.csv", column: "irradiance_r", row: 4 },
+            Largest { file: "lit2.csv", column: "irradiance_r", row: 0 },
+        ],
         "env-layers" => vec![lit("lit.csv", &[PI; 6])],
         "hdr-exposure" => vec![lit("lit.csv", &[1.571; 6])],
         "hdr-rgbe-signature" => vec![lit("lit.csv", &[PI; 6])],
@@ -69,6 +77,7 @@ pub fn checks_of(case: &str) -> Vec<Check> {
             column: "id",
             expected: &[16_777_217.0, 123_456_789.0, 2_000_000_001.0],
         }],
+        "table-faces-lost" => vec![Holds { file: "lit.ply", text: "element face " }],
         "message-output-name" => vec![Says(".exr"), Says(".npy")],
         "gltf-animation-without-node"
         | "gltf-scene-without-nodes"

@@ -3,11 +3,13 @@
 //! Both halves have the same functions. Where a system cannot do something, it is left out if it saves only time or space, and none is
 //! returned if it would tell something.
 
+mod process;
 #[cfg(unix)]
 mod unix;
 #[cfg(windows)]
 mod windows;
 
+pub use process::{ProcessUse, peak_resident_bytes, process_use, resident_bytes};
 #[cfg(unix)]
 pub use unix::*;
 #[cfg(windows)]

@@ -16,7 +16,6 @@ use crate::bake::report::{BakeReport, BytesPerSurfel, PhaseReport};
 use crate::bake::request::{BakeRequest, NormalsChoice};
 use crate::budget::bake::BakeMemory;
 use crate::budget::disk_space::{DiskSpace, DiskUse};
-use crate::budget::resident::{peak_resident_bytes, process_use};
 use crate::budget::split::node_bytes;
 use crate::figures::format_bytes;
 use crate::output_path::{are_on_one_disk, free_bytes, kept_files};
@@ -25,6 +24,7 @@ use pbgi_build::{
     BuildOptions, BuildReport, ChannelChoice, StreamSummary, build_octree, build_octree_from_pieces,
 };
 use pbgi_cloud::SurfelSource;
+use pbgi_file::platform::{peak_resident_bytes, process_use};
 use pbgi_file::{Claim, ClaimError, KeptFiles, folder_of};
 use pbgi_format::COORDINATE_MAX;
 use pbgi_light::UpAxis;

@@ -1,11 +1,11 @@
 //! How a bake divides its memory limit.
 
 use crate::PbgiError;
-use crate::budget::resident::resident_bytes;
 use crate::budget::split::{limit_beside_nodes, node_bytes_held};
 use crate::figures::format_bytes;
 use crate::shade::CHUNK_RECEIVERS;
 use pbgi_build::BuildOptions;
+use pbgi_file::platform::resident_bytes;
 use pbgi_sort::BUDGET_BYTES_MIN;
 use pbgi_store::PIN_BYTES_PER_READER_MIN;
 

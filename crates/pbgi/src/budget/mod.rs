@@ -4,5 +4,4 @@ pub(crate) mod bake;
 pub(crate) mod disk_space;
 pub(crate) mod limit;
 pub(crate) mod reading;
-pub(crate) mod resident;
 pub(crate) mod split;

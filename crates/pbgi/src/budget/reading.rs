@@ -1,8 +1,8 @@
 //! What reading an input may take of the memory limit, judged by headers before anything is read.
 
 use crate::PbgiError;
-use crate::budget::resident::resident_bytes;
 use crate::figures::format_bytes;
+use pbgi_file::platform::resident_bytes;
 use pbgi_file::{Allowance, Excess};
 use std::error::Error;
 use std::io;

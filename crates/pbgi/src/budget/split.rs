@@ -1,9 +1,9 @@
 //! How a memory limit is shared between the page cache and everything else.
 
 use crate::PbgiError;
-use crate::budget::resident::resident_bytes;
 use crate::figures::format_bytes;
 use crate::shade::ShadeSettings;
+use pbgi_file::platform::resident_bytes;
 use pbgi_gather::KNOWN_BYTES;
 use serde::Serialize;
 use std::fmt;

@@ -8,7 +8,7 @@ use crate::frame::output::{channel_count, settings_attributes};
 use crate::frame::{Frame, layers_of};
 use crate::gbuffer::surfaces::{GBuffer, GBufferSpace};
 use crate::points::table_receivers::{RowRules, TableReceivers};
-use crate::shade::nearness::{Cure, FarReceivers, placement};
+use crate::shade::nearness::{FarReceivers, letter, placement};
 use crate::shade::target::spread;
 use crate::shade::{CHUNK_RECEIVERS, Session, ShadeSettings, read_header, up_axis};
 use crate::{PbgiError, Progress};
@@ -174,23 +174,16 @@ fn far_pixels(
     };
     let name = request.gbuffer.display();
     let text = format!("{name}: {far} of {sample} pixels looked at are far from all surfels");
-    let Some(Cure { up, scale, near }) = cure else {
+    let Some(cure) = cure else {
         return Ok(Some(format!(
             "{text}; check that it shows the scene of {}, and the space of its positions (--gbuffer-space)",
             request.octree.display()
         )));
     };
-    let (mut causes, mut options) = (Vec::new(), Vec::new());
-    let letter = |up: UpAxis| if up == UpAxis::Y { "y" } else { "z" };
-    if let Some(up) = up {
-        causes.push(format!("+{} is up in it", letter(up).to_uppercase()));
-        options.push(format!("--gbuffer-up {}", letter(up)));
-    }
-    if scale != 1.0 {
-        causes.push(format!("its unit is {scale} of the octree's"));
-        options.push(format!("--gbuffer-scale {scale}"));
-    }
-    let (causes, options) = (causes.join(" and "), options.join(" "));
+    let up = cure.up.map(|up| format!("--gbuffer-up {}", letter(up)));
+    let scale = (cure.scale != 1.0).then(|| format!("--gbuffer-scale {}", cure.scale));
+    let options = up.into_iter().chain(scale).collect::<Vec<_>>().join(" ");
+    let (near, causes) = (cure.near, cure.causes());
     Ok(Some(format!("{text}; {near} of them are near if {causes}: add {options}")))
 }
 

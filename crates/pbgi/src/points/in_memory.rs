@@ -2,6 +2,7 @@
 
 use crate::budget::split::MemorySplit;
 use crate::points::table_receivers::no_eye;
+use crate::shade::nearness::FarReceivers;
 use crate::shade::target::spread;
 use crate::shade::{
     CHUNK_RECEIVERS, GlossSettings, Session, ShadeReport, ShadeSettings, chunk_bytes, gloss_toward,
@@ -10,6 +11,7 @@ use crate::shade::{
 use crate::{PbgiError, Progress};
 use pbgi_gather::{Material, Receiver, Shading};
 use pbgi_math::{DVec3, Vec3};
+use pbgi_store::Octree;
 use std::borrow::Cow;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
@@ -104,6 +106,8 @@ pub fn shade_receivers(
     let extra =
         u32::from(settings.target_error.is_some()) + u32::from(settings.check_receivers > 0);
     progress.set_phase_count(1 + extra);
+    let far = points.warn_of_far(&session.octree)?;
+    session.warnings.extend(far);
     if session.wants_calibration() {
         let sample = spread(points.len()).map(|index| points.receiver(index));
         let sample = sample.filter_map(Result::transpose).collect::<Result<Vec<_>, _>>()?;
@@ -181,6 +185,13 @@ impl<'a> Points<'a> {
 
     fn len(&self) -> usize {
         self.normals.len()
+    }
+
+    /// What to say where the points are not where the surfels are.
+    fn warn_of_far(&self, octree: &Octree) -> Result<Option<String>, PbgiError> {
+        let places = spread(self.len()).map(|index| self.positions.get(index));
+        let places: Vec<DVec3> = places.filter(|place| place.is_finite()).collect();
+        FarReceivers::warn_of_points(octree, "the points given", &places)
     }
 
     /// The receiver of a point, none where it is left out.

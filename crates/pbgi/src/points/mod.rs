@@ -16,6 +16,7 @@ use crate::points::results::ResultWriter;
 use crate::points::rows::PointRows;
 use crate::points::scan::{ScanReader, is_scan, is_scan_name};
 use crate::points::table_receivers::{RowRules, TableReceivers, no_eye};
+use crate::shade::nearness::FarReceivers;
 use crate::shade::target::spread;
 use crate::shade::{
     CHUNK_RECEIVERS, LightSource, Session, ShadeReport, ShadeSettings, chunk_bytes, gloss_toward,
@@ -27,7 +28,7 @@ use pbgi_file::folder_of;
 use pbgi_format::LeafSurfel;
 use pbgi_gather::{Material, Receiver};
 use pbgi_math::{DVec3, Vec3};
-use pbgi_store::try_for_each_leaf;
+use pbgi_store::{Octree, try_for_each_leaf};
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -79,8 +80,8 @@ impl PointsRequest<'_> {
 
 /// Bytes of a surfel beside its receiver until it is written: radius, area, albedo.
 const SURFEL_BYTES: usize = size_of::<[f32; 5]>();
-/// Bytes of a row beside its receiver: position, normal, and each column.
-const ROW_BYTES: usize = 24;
+/// Bytes of a row beside its receiver: position and normal, rounded and as given, and each column.
+const ROW_BYTES: usize = 24 + 48;
 const COLUMN_BYTES: usize = 12;
 /// Bytes that writing a scan may hold: points as they were and as they will be, and a chunk of the compressor.
 const SCAN_WRITER_BYTES: u64 = 12 << 20;
@@ -127,8 +128,10 @@ pub fn shade_points(
     let job = PointsJob { rules, progress, cancel };
     match &mut rows {
         Some(rows) => {
+            let sample = job.sample_rows(rows)?;
+            let far = job.warn_of_far(&session.octree, &sample, &request.source)?;
+            session.warnings.extend(far);
             if session.wants_calibration() {
-                let sample = job.sample_rows(rows)?;
                 session.calibrate(&sample, progress)?;
             }
             job.shade_rows(&mut session, rows, &mut writer)?;
@@ -257,6 +260,19 @@ impl PointsJob<'_> {
         }
     }
 
+    /// What to say where these receivers of a file are not where the surfels are.
+    fn warn_of_far(
+        &self,
+        octree: &Octree,
+        sample: &[Receiver],
+        source: &PointSource,
+    ) -> Result<Option<String>, PbgiError> {
+        let PointSource::File(path) = source else { return Ok(None) };
+        let place = |receiver: &Receiver| receiver.position.as_dvec3() + self.rules.origin;
+        let places: Vec<DVec3> = sample.iter().map(place).collect();
+        FarReceivers::warn_of_points(octree, &path.display().to_string(), &places)
+    }
+
     /// Shades the receivers of a file in the order of its rows.
     fn shade_rows(
         &self,
@@ -285,9 +301,8 @@ impl PointsJob<'_> {
             |chunk| {
                 let table = &chunk.attached;
                 for (row, shading) in chunk.shadings.iter().enumerate() {
-                    let position = table.positions[row].as_dvec3() + table.origin;
                     let others = passed_columns.iter().map(|i| table.columns[*i].value(row));
-                    writer.write(position, table.normals[row], shading, others)?;
+                    writer.write(table.given[row], shading, others)?;
                 }
                 Ok(())
             },
@@ -326,9 +341,10 @@ impl PointsJob<'_> {
             |chunk| {
                 let results = chunk.receivers.iter().zip(&chunk.shadings).zip(chunk.attached);
                 for ((receiver, shading), others) in results {
-                    let position = receiver.position.as_dvec3() + self.rules.origin;
-                    let others = others.map(f64::from);
-                    writer.write(position, receiver.normal, shading, others)?;
+                    let place = receiver.position.as_dvec3() + self.rules.origin;
+                    let [nx, ny, nz] = receiver.normal.as_dvec3().to_array();
+                    let given = [place.x, place.y, place.z, nx, ny, nz];
+                    writer.write(given, shading, others.map(f64::from))?;
                 }
                 Ok(())
             },

@@ -4,9 +4,9 @@ use crate::PbgiError;
 use crate::points::rows::PointRows;
 use crate::points::scan::{is_scan, is_scan_name};
 use crate::points::{PointSource, PointsRequest};
-use pbgi_cloud::{LasResultWriter, RowWriter, TypedColumn};
+use pbgi_cloud::{LasResultWriter, PlyType, RowWriter, TypedColumn};
 use pbgi_gather::Shading;
-use pbgi_math::{DVec3, Vec3, luminance};
+use pbgi_math::{DVec3, luminance};
 
 /// Values collected before they go into a scan.
 const SCAN_VALUES: usize = 1 << 16;
@@ -64,8 +64,8 @@ enum Target {
 
 impl ResultWriter {
     /// Starts the file: the scan of the source again where the target is named as one; else rows of results, then the columns
-    /// of the input in their own types, or those of surfels without one. Positions are doubles where coordinates are relative to an
-    /// `origin`. Elements of a PLY file besides its vertices follow in another.
+    /// of the input in their own types, or those of surfels without one. Positions and normals have the types of the input; surfels' positions
+    /// are doubles where the octree's `origin` is not 0. Elements of a PLY file besides its vertices follow in another.
     pub fn create(
         request: &PointsRequest<'_>,
         rows: Option<&PointRows>,
@@ -85,7 +85,6 @@ impl ResultWriter {
                 ))),
             };
         }
-        let double_count = if origin == DVec3::ZERO { 0 } else { 3 };
         let mut names: Vec<&str> = RESULT_COLUMNS.to_vec();
         let has_gloss = request.settings.gloss.is_some();
         names.extend(GLOSS_COLUMNS.iter().filter(|_| has_gloss));
@@ -93,7 +92,10 @@ impl ResultWriter {
         if rows.is_none() {
             names.extend(SURFEL_COLUMNS);
         }
-        let mut columns = TypedColumn::floats(&names, double_count);
+        let mut columns = TypedColumn::floats(&names, 0);
+        for (column, kind) in columns.iter_mut().zip(given_kinds(rows, origin)) {
+            column.kind = kind;
+        }
         for (index, column) in rows.map_or(&[][..], PointRows::columns).iter().enumerate() {
             if columns.iter().all(|own| own.name != column.name) {
                 columns.push(column.clone());
@@ -110,11 +112,10 @@ impl ResultWriter {
         Ok(Self { target, has_gloss, passed_columns })
     }
 
-    /// Appends the result of a receiver and, in tables, what goes with it.
+    /// Appends the result of a receiver and, in tables, its position and normal as given, and what goes with it.
     pub fn write(
         &mut self,
-        position: DVec3,
-        normal: Vec3,
+        given: [f64; 6],
         shading: &Shading,
         others: impl IntoIterator<Item = f64>,
     ) -> Result<(), PbgiError> {
@@ -123,8 +124,8 @@ impl ResultWriter {
         match &mut self.target {
             Target::Rows(writer, row) => {
                 row.clear();
-                row.extend(position.to_array());
-                let floats = normal.to_array().into_iter().chain(irradiance).chain(open);
+                row.extend(given);
+                let floats = irradiance.into_iter().chain(open);
                 let reflected = shading.reflected.into_iter().filter(|_| self.has_gloss);
                 let floats = floats.chain(shading.bent_normal.to_array());
                 row.extend(floats.chain(reflected).map(f64::from));
@@ -154,4 +155,11 @@ impl ResultWriter {
             }
         }
     }
+}
+
+/// Types of the columns of positions and normals.
+fn given_kinds(rows: Option<&PointRows>, origin: DVec3) -> [PlyType; 6] {
+    let place = if origin == DVec3::ZERO { PlyType::F32 } else { PlyType::F64 };
+    let surfels = std::array::from_fn(|k| if k < 3 { place } else { PlyType::F32 });
+    rows.map_or(surfels, PointRows::given_kinds)
 }

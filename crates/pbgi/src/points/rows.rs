@@ -2,7 +2,7 @@
 
 use crate::PbgiError;
 use crate::points::scan::ScanReader;
-use pbgi_cloud::{PlyElement, ReceiverReader, ReceiverTable, TypedColumn};
+use pbgi_cloud::{PlyElement, PlyType, ReceiverReader, ReceiverTable, TypedColumn};
 use pbgi_math::DVec3;
 use std::path::{Path, PathBuf};
 
@@ -33,6 +33,16 @@ impl PointRows {
         match self {
             Self::Table(_, reader) => reader.origin(),
             Self::Scan(reader) => reader.origin(),
+        }
+    }
+
+    /// Types of positions and normals: those of the file; of scans, whose normals are estimated, double and single.
+    pub fn given_kinds(&self) -> [PlyType; 6] {
+        match self {
+            Self::Table(_, reader) => reader.given_kinds(),
+            Self::Scan(_) => {
+                std::array::from_fn(|k| if k < 3 { PlyType::F64 } else { PlyType::F32 })
+            }
         }
     }
 

@@ -121,10 +121,13 @@ impl ScanReader {
     ) -> Result<bool, PbgiError> {
         *table = ReceiverTable { origin: self.origin(), ..ReceiverTable::default() };
         while table.len() < points_max {
-            let Some(position) = self.places.next_position()? else { return Ok(false) };
+            let Some(place) = self.places.next_place()? else { return Ok(false) };
             let code = self.normals.next()?.unwrap_or(NO_NORMAL);
-            table.positions.push(position);
-            table.normals.push(if code == NO_NORMAL { self.up } else { decode_octahedral24(code) });
+            let normal = if code == NO_NORMAL { self.up } else { decode_octahedral24(code) };
+            table.positions.push((place - table.origin).as_vec3());
+            table.normals.push(normal);
+            let [nx, ny, nz] = normal.as_dvec3().to_array();
+            table.given.push([place.x, place.y, place.z, nx, ny, nz]);
         }
         Ok(self.places.done < self.count())
     }
@@ -180,9 +183,8 @@ impl Places {
         Ok(Self { path, file, survey, origin, strays, ahead, used: 0, done: 0 })
     }
 
-    /// Whether a position is far from all others: where neighbors are looked for, strays may not take the levels of the rest.
-    fn is_stray(&self, position: Vec3) -> bool {
-        let place = position.as_dvec3() + self.origin;
+    /// Whether a place is far from all others: where neighbors are looked for, strays may not take the levels of the rest.
+    fn is_stray(&self, place: DVec3) -> bool {
         let holds = |[min, max]: [DVec3; 2]| place.cmpge(min).all() && place.cmple(max).all();
         self.survey.limits.is_some_and(|limits| !holds(limits))
     }
@@ -191,7 +193,8 @@ impl Places {
         self.file.count()
     }
 
-    fn next_position(&mut self) -> Result<Option<Vec3>, CloudError> {
+    /// The next place, in the world.
+    fn next_place(&mut self) -> Result<Option<DVec3>, CloudError> {
         if self.done == self.count() {
             return Ok(None);
         }
@@ -201,15 +204,14 @@ impl Places {
             self.file.read_chunk(&mut self.ahead)?;
         }
         let Some(place) = self.ahead.get(self.used).copied() else { return Ok(None) };
-        let position = (place - self.origin).as_vec3();
-        if !(position.abs().max_element() <= 1e18) {
+        if !((place - self.origin).abs().max_element() <= 1e18) {
             let message =
                 format!("point {}: place {place} is not finite, or beyond 1e18", self.done);
             return Err(CloudError::malformed(&self.path, message));
         }
         self.used += 1;
         self.done += 1;
-        Ok(Some(position))
+        Ok(Some(place))
     }
 }
 
@@ -226,10 +228,10 @@ impl SurfelSource for Places {
     fn read_chunk(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
         for _ in 0..CHUNK {
             let index = self.done;
-            let Some(position) = self.next_position()? else { break };
-            match self.is_stray(position) {
+            let Some(place) = self.next_place()? else { break };
+            match self.is_stray(place) {
                 true => self.strays.push(index),
-                false => out.push(tagged(position, index)),
+                false => out.push(tagged((place - self.origin).as_vec3(), index)),
             }
         }
         Ok(self.done < self.file.count())

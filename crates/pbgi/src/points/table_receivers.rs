@@ -129,6 +129,7 @@ mod tests {
             origin: DVec3::ZERO,
             positions: vec![Vec3::ONE],
             normals: vec![Vec3::Y],
+            given: Vec::new(),
             columns: columns.iter().map(column).collect(),
         }
     }

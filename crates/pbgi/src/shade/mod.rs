@@ -545,7 +545,7 @@ impl<'a> Session<'a> {
             levels: LevelReport::all(&cut.levels),
             cache,
             memory: self.memory,
-            memory_peak_bytes: crate::budget::resident::peak_resident_bytes(),
+            memory_peak_bytes: pbgi_file::platform::peak_resident_bytes(),
             check,
             empty_pixels: 0,
             surfels: self.octree.header().surfel_count,

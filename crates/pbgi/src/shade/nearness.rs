@@ -17,6 +17,13 @@ const REACH: f32 = 1.5;
 const SCALES: [f64; 9] =
     [1.0, 0.01, 100.0, 0.001, 1000.0, 0.0254, 1.0 / 0.0254, 0.3048, 1.0 / 0.3048];
 
+/// Points that a transform brings to the surfels span at least this share of the octree's diagonal then: small factors bring any point near
+/// the origin, and what surfels are there.
+const SPAN_SHARE: f64 = 1.0 / 32.0;
+
+/// Points are elsewhere if they lie outside the octree's box by more than so many times its diagonal.
+const ELSEWHERE: f64 = 10.0;
+
 /// Receivers that are not where the surfels are.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct FarReceivers {
@@ -51,7 +58,69 @@ pub(crate) fn placement(from: UpAxis, to: UpAxis, scale: f64) -> DMat4 {
     DMat4::from_cols(x, y, z, DVec3::ZERO.extend(1.0))
 }
 
+impl Cure {
+    /// What the transform tells of the receivers.
+    pub fn causes(&self) -> String {
+        let up = self.up.map(|up| format!("+{} is up in it", letter(up).to_ascii_uppercase()));
+        let unit =
+            (self.scale != 1.0).then(|| format!("its unit is {} of the octree's", self.scale));
+        up.into_iter().chain(unit).collect::<Vec<_>>().join(" and ")
+    }
+
+    /// How to carry it out on coordinates.
+    fn instructions(&self) -> String {
+        let vector = match self.up {
+            Some(UpAxis::Z) => "(x, z, -y)",
+            Some(UpAxis::Y) => "(x, -z, y)",
+            None => "(x, y, z)",
+        };
+        let factor =
+            if self.scale == 1.0 { String::new() } else { format!("{} times ", self.scale) };
+        let normals = self.up.map(|_| format!(", and {vector} as normal")).unwrap_or_default();
+        format!("give {factor}{vector} as position{normals}")
+    }
+}
+
+/// How an axis is called.
+pub(crate) fn letter(up: UpAxis) -> char {
+    if up == UpAxis::Y { 'y' } else { 'z' }
+}
+
 impl FarReceivers {
+    /// What to say of points, called `name`, that a mistake of axes or units keeps from the surfels, or that are elsewhere altogether. Other
+    /// points may be in the air: they are measured, not seen.
+    pub fn warn_of_points(
+        octree: &Octree,
+        name: &str,
+        places: &[DVec3],
+    ) -> Result<Option<String>, PbgiError> {
+        let Some(Self { sample, far, cure }) = Self::find(octree, places, &DMat4::IDENTITY)? else {
+            return Ok(None);
+        };
+        let bounds = octree.header().bounds;
+        let diagonal = f64::from((bounds.max - bounds.min).length());
+        let text =
+            format!("{name}: {far} of {sample} receivers looked at are far from all surfels");
+        if let Some(cure) = cure.filter(|cure| cure.scale * span(places) >= SPAN_SHARE * diagonal) {
+            return Ok(Some(format!(
+                "{text}; {} of them are near if {}: {}",
+                cure.near,
+                cure.causes(),
+                cure.instructions()
+            )));
+        }
+        let origin = octree.header().origin;
+        let is_elsewhere = |place: &&DVec3| {
+            let place = **place - origin;
+            let inside = place.clamp(bounds.min.as_dvec3(), bounds.max.as_dvec3());
+            inside.distance(place) > ELSEWHERE * diagonal
+        };
+        let elsewhere = places.iter().filter(is_elsewhere).count();
+        Ok((2 * elsewhere > places.len()).then(|| {
+            format!("{text}, most by more than ten times the octree's size; check that they belong to its scene")
+        }))
+    }
+
     /// Looks at some of the receivers at `places` of their own world, which `to_octree` is meant to lead to the octree's; nothing where
     /// most of them are near surfels.
     pub fn find(
@@ -80,6 +149,13 @@ impl FarReceivers {
         }
         Ok(Some(Self { sample: sample.len(), far: sample.len() - near, cure }))
     }
+}
+
+/// Diagonal of the box around places.
+fn span(places: &[DVec3]) -> f64 {
+    let min = places.iter().copied().fold(DVec3::INFINITY, DVec3::min);
+    let max = places.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
+    min.distance(max)
 }
 
 /// How many of `places` are near a surfel after `transform`.
@@ -114,13 +190,12 @@ mod tests {
     use super::*;
     use crate::{BakeRequest, Progress, Sampling, bake};
     use pbgi_store::{OpenOptions, try_for_each_leaf};
+    use std::path::Path;
     use std::sync::atomic::AtomicBool;
 
-    /// Surfels of a scene, led away by another axis up or another unit, are found to be so.
-    #[test]
-    fn axes_and_units_are_told() {
-        let folder = tempfile::tempdir().unwrap();
-        let output = folder.path().join("s.pbgi");
+    /// An octree of a street, and the places of its surfels.
+    fn street(folder: &Path) -> (Octree, Vec<DVec3>) {
+        let output = folder.join("s.pbgi");
         let request = BakeRequest {
             inputs: vec!["demo:street?seed=1".into()],
             output: output.clone(),
@@ -135,6 +210,14 @@ mod tests {
             Ok::<(), PbgiError>(())
         })
         .unwrap();
+        (octree, places)
+    }
+
+    /// Surfels of a scene, led away by another axis up or another unit, are found to be so.
+    #[test]
+    fn axes_and_units_are_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let (octree, places) = street(folder.path());
         let find = |up: UpAxis, scale: f64| {
             let away = placement(UpAxis::Y, up, 1.0 / scale);
             let places: Vec<DVec3> = places.iter().map(|p| away.transform_point3(*p)).collect();
@@ -151,6 +234,29 @@ mod tests {
         let found = FarReceivers::find(&octree, &elsewhere, &DMat4::IDENTITY).unwrap();
         assert_eq!(found, Some(FarReceivers { sample: 64, far: 64, cure: None }));
         assert_eq!(FarReceivers::find(&octree, &[], &DMat4::IDENTITY).unwrap(), None);
+    }
+
+    #[test]
+    fn misplaced_points_are_warned_of_and_points_in_the_air_are_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let (octree, places) = street(folder.path());
+        let warn = |change: &dyn Fn(DVec3) -> DVec3| {
+            let places: Vec<DVec3> = places.iter().map(|place| change(*place)).collect();
+            FarReceivers::warn_of_points(&octree, "p.ply", &places).unwrap()
+        };
+        assert_eq!(warn(&|p| p), None);
+        let text = warn(&|p| 100.0 * DVec3::new(p.x, -p.z, p.y)).unwrap();
+        let expected = "p.ply: 64 of 64 receivers looked at are far from all surfels; 64 of them are near if +Z is up in it \
+                        and its unit is 0.01 of the octree's: give 0.01 times (x, z, -y) as position, and (x, z, -y) as normal";
+        assert_eq!(text, expected);
+        let text = warn(&|p| 100.0 * p).unwrap();
+        assert!(text.ends_with(": give 0.01 times (x, y, z) as position"), "{text}");
+        // Above the ground that the origin lies on: a thousandth of them would be on it.
+        let above = |p: DVec3| DVec3::new(p.x, 3.0 + 5.0 * (p.x * 7.0).sin().abs(), p.z);
+        let diagonal = f64::from(octree.header().bounds.max.distance(octree.header().bounds.min));
+        assert_eq!(warn(&|p| above(p) + DVec3::Y * diagonal), None);
+        let text = warn(&|p| p + DVec3::new(5e5, 0.0, 4e6)).unwrap();
+        assert!(text.contains("64 of 64") && text.contains("belong to its scene"), "{text}");
     }
 
     #[test]

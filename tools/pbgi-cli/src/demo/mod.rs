@@ -79,7 +79,7 @@ pub fn run(args: &DemoArgs, cancel: &AtomicBool) -> Result<(), PbgiError> {
 /// The program `pbgi-demo`.
 pub fn main() -> ExitCode {
     let args = DemoArgs::parse();
-    cli::run("pbgi-demo", |cancel| run(&args, cancel))
+    cli::run("pbgi-demo", |cancel| run(&args, cancel)).into()
 }
 
 struct Demo {

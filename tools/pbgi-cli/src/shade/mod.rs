@@ -22,7 +22,7 @@ use std::sync::atomic::AtomicBool;
 /// The program `pbgi-shade`.
 pub fn main() -> ExitCode {
     let args = ShadeArgs::parse();
-    cli::run("pbgi-shade", |cancel| run(&args, cancel))
+    cli::run("pbgi-shade", |cancel| run(&args, cancel)).into()
 }
 
 /// Shades as asked for.

@@ -1,7 +1,7 @@
 //! Points.
 
 use crate::support::{SCENE, bake_to, fail, octree, shade, text};
-use pbgi_cloud::{CloudOptions, LasPoints, PlyWriter, ReceiverTable, SurfelSource};
+use pbgi_cloud::{CloudOptions, LasPoints, PlyWriter, ReceiverReader, ReceiverTable, SurfelSource};
 use std::f32::consts::PI;
 use std::path::Path;
 
@@ -46,6 +46,55 @@ fn receivers_come_back_with_their_light_and_their_columns() {
     let message = fail(2, &arguments);
     assert!(message.contains("--force"), "{message}");
     shade(&[&arguments[..], &["--force"]].concat());
+}
+
+#[test]
+fn positions_and_normals_come_back_as_given() {
+    let folder = tempfile::tempdir().unwrap();
+    let [input, output] = ["in.ply", "out.ply"].map(|name| folder.path().join(name));
+    let text_of = "ply\nformat ascii 1.0\nelement vertex 2\nproperty double x\nproperty double y\nproperty double z\n\
+                   property float nx\nproperty float ny\nproperty double nz\nend_header\n\
+                   0.1 5.123456789012345 -0.2 0.25 2 0.7\n1e-9 7 0 0 -5 0.1\n";
+    std::fs::write(&input, text_of).unwrap();
+    let octree = octree();
+    let paths = [text(&octree), "--receivers", text(&input), "-o", text(&output)];
+    shade(&[&paths[..], &["--env-color", "1,1,1", "-q"]].concat());
+    let [given, found] = [&input, &output].map(|path| {
+        let kinds = ReceiverReader::open(path).unwrap().given_kinds();
+        (kinds, ReceiverTable::read(path).unwrap().given)
+    });
+    assert_eq!(given.1[0][1], 5.123_456_789_012_345);
+    assert_eq!(found, given);
+}
+
+/// Vertices of the scene itself, in other units and with another axis up.
+#[test]
+fn receivers_far_from_all_surfels_are_warned_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let [surfels, input, output] =
+        ["s.ply", "in.ply", "out.ply"].map(|name| folder.path().join(name));
+    let octree = octree();
+    shade_surfels(&octree, &surfels, "1", &[]);
+    let table = ReceiverTable::read(&surfels).unwrap();
+    let warnings_of = |change: &dyn Fn(f32, f32, f32) -> [f32; 3]| {
+        let mut writer = PlyWriter::create(&input, &["x", "y", "z", "nx", "ny", "nz"]).unwrap();
+        for place in table.positions.iter().step_by(20) {
+            let [x, y, z] = change(place.x, place.y, place.z);
+            writer.write_rows(&[x, y, z, 0.0, 1.0, 0.0]).unwrap();
+        }
+        writer.finish().unwrap();
+        let paths = [text(&octree), "--receivers", text(&input), "-o", text(&output), "--force"];
+        let rest = ["--env-color", "1,1,1", "--solid-angle", "1", "-q", "--stats-json", "-"];
+        let stats = shade(&[&paths[..], &rest].concat());
+        let stats: serde_json::Value = serde_json::from_str(&stats).unwrap();
+        stats["warnings"].as_array().unwrap().clone()
+    };
+    assert_eq!(warnings_of(&|x, y, z| [x, y, z]), [] as [serde_json::Value; 0]);
+    let found = warnings_of(&|x, y, z| [100.0 * x, -100.0 * z, 100.0 * y]);
+    assert_eq!(found.len(), 1, "{found:?}");
+    let warning = found[0].as_str().unwrap();
+    let expected = "+Z is up in it and its unit is 0.01 of the octree's: give 0.01 times (x, z, -y) as position";
+    assert!(warning.contains("in.ply: ") && warning.contains(expected), "{warning}");
 }
 
 /// Shades every surfel of a file, at a solid angle; returns the statistics.

@@ -1,4 +1,4 @@
-//! What the process holds in memory, as the system counts it.
+//! What the process holds and has used, as the system counts it: Linux tells in `/proc`.
 
 /// Most bytes this process had in memory at once since it started (`VmHWM`), shared libraries and
 /// code included; none where the system does not tell.
@@ -29,8 +29,7 @@ pub struct ProcessUse {
 /// What this process has used so far (`/proc/self/stat` and `/proc/self/io`).
 #[must_use]
 pub fn process_use() -> Option<ProcessUse> {
-    let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
-    let io = std::fs::read_to_string("/proc/self/io").ok()?;
+    let (stat, io) = (read_own("stat")?, read_own("io")?);
     let (user_seconds, system_seconds) = parse_times(&stat)?;
     let bytes = |name: &str| io.lines().find_map(|l| l.strip_prefix(name))?.trim().parse().ok();
     Some(ProcessUse {
@@ -41,6 +40,14 @@ pub fn process_use() -> Option<ProcessUse> {
     })
 }
 
+/// What Linux tells of this process under a name.
+fn read_own(name: &str) -> Option<String> {
+    if !cfg!(target_os = "linux") {
+        return None;
+    }
+    std::fs::read_to_string(format!("/proc/self/{name}")).ok()
+}
+
 /// User and system time in seconds: fields 14 and 15, in hundredths. The name, field 2, may hold anything.
 fn parse_times(stat: &str) -> Option<(f64, f64)> {
     let mut fields = stat.rsplit_once(')')?.1.split_ascii_whitespace().skip(11);
@@ -49,7 +56,7 @@ fn parse_times(stat: &str) -> Option<(f64, f64)> {
 }
 
 fn status_bytes(field: &str) -> Option<u64> {
-    parse_status(&std::fs::read_to_string("/proc/self/status").ok()?, field)
+    parse_status(&read_own("status")?, field)
 }
 
 /// The value of `field`, which Linux states in KiB.
@@ -81,7 +88,9 @@ mod tests {
 
     #[test]
     fn peaks_never_fall_below_what_is_held() {
-        let Some(now) = resident_bytes() else { return };
+        let now = resident_bytes();
+        assert_eq!(now.is_some(), cfg!(target_os = "linux"));
+        let Some(now) = now else { return };
         assert!(now > 0 && peak_resident_bytes().is_some_and(|peak| peak >= now / 2));
     }
 }
