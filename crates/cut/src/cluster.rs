@@ -1,6 +1,6 @@
 //! What a node shows to a receiver.
 
-use crate::known::{KnownLobe, thick_half};
+use crate::lobe::{KnownLobe, thick_half};
 use pbgi_format::LOBES_MAX;
 use pbgi_math::{Stencil, Vec3, box_silhouette, central_section_area, patch_solid_angle_factor};
 
@@ -380,7 +380,7 @@ mod tests {
             KnownLobe::new(&lobe, &bounds)
         };
         let mut lobes: Vec<KnownLobe> = normals.into_iter().enumerate().map(sheet).collect();
-        crate::known::find_shares(&mut lobes, &bounds);
+        crate::lobe::find_shares(&mut lobes, &bounds);
         let receiver = Vec3::new(0.4, -3.0, 0.6);
         let cluster = Cluster::from_lobes(-receiver, Vec3::ONE - receiver, &lobes, 1, receiver);
         let mut ends: Vec<f32> = cluster.pieces().iter().map(|piece| piece.end).collect();

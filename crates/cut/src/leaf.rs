@@ -1,6 +1,7 @@
 //! Surfels of a leaf, nearest first.
 
-use crate::known::{Boxes, KnownLeaf, NodeReader};
+use crate::group::Boxes;
+use crate::known::{KnownLeaf, NodeReader};
 use crate::own_surface::is_own_surface;
 use crate::stats::CutStats;
 use crate::walk::{CutReceiver, CutVisitor, SurfelSeen};

@@ -5,17 +5,22 @@
 #![forbid(unsafe_code)]
 
 mod cluster;
+mod group;
 mod known;
 mod leaf;
+mod lobe;
 mod metric;
 mod node;
 mod own_surface;
 mod stats;
+mod surfel;
 mod walk;
 
 pub use cluster::{Cluster, Piece};
-pub use known::{Boxes, CutSurfel, KNOWN_BYTES, NodeReader, OUTLINE_RESERVE, SurfelShape};
+pub use group::Boxes;
+pub use known::{KNOWN_BYTES, NodeReader};
 pub use metric::{NodeSeen, Threshold, UniformThreshold};
 pub use own_surface::OWN_SURFACE_COSINE;
 pub use stats::{CutStats, LEVELS, LevelStats};
+pub use surfel::{CutSurfel, OUTLINE_RESERVE, SurfelShape};
 pub use walk::{CutReceiver, CutScratch, CutVisitor, Kept, NOTHING_KEPT, SurfelSeen, pick_cut};

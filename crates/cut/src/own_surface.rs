@@ -1,15 +1,12 @@
 //! What of the surfels next to a receiver is its own surface, which it does not see.
 
-use crate::known::{CutSurfel, SurfelShape};
+use crate::surfel::{CutSurfel, SurfelShape};
 use crate::walk::CutReceiver;
 use pbgi_math::Vec3;
 
-/// Share of its radius by which a rectangle or triangle must rise above the plane of the receiver's surface to hide anything, where it looks the
-/// same way as that: codes of places and normals are off by no more.
+/// Share of its radius by which a rectangle or triangle that looks the same way as the receiver's surface must rise above the plane of that to hide
+/// anything: so far do neighbors on a curved surface.
 const ALIKE_BIAS: f32 = 0.05;
-
-/// The same where it looks another way, as nothing of one flat surface does.
-const OUTLINE_BIAS: f32 = 0.01;
 
 /// Cosine of the angle between normals above which a near disk may be a piece of the receiver's own curved surface.
 pub const OWN_SURFACE_COSINE: f32 = 0.7;
@@ -50,13 +47,17 @@ pub(crate) fn is_own_surface(surfel: &CutSurfel, center: Vec3, receiver: &CutRec
     let plane = receiver.view.plane;
     let height = center.dot(plane);
     // Most are well above.
-    if height > surfel.radius && height > receiver.surfel_bias * surfel.radius {
+    if height > surfel.radius + 2.0 * surfel.rounding
+        && height > receiver.surfel_bias * surfel.radius
+    {
         return false;
     }
     if surfel.shape != SurfelShape::Disk {
+        // What looks another way is no neighbor on a curved surface: it hides if it rises by more than rounding explains, its own and that of a
+        // receiver that was such a surfel itself.
         let is_alike = surfel.normal.dot(plane) > 0.0;
-        let share = if is_alike { ALIKE_BIAS } else { OUTLINE_BIAS };
-        let bound = share * surfel.radius;
+        let rounding = 2.0 * surfel.rounding;
+        let bound = if is_alike { rounding.max(ALIKE_BIAS * surfel.radius) } else { rounding };
         return height + reach_along(surfel, plane) <= bound;
     }
     let tilt = surfel.normal.dot(plane);

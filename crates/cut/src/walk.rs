@@ -1,11 +1,13 @@
 //! The walk: depth first, children front to back.
 
 use crate::cluster::Cluster;
-use crate::known::{Boxes, CutSurfel, GroupIndex, NodeReader};
+use crate::group::Boxes;
+use crate::known::{GroupIndex, NodeReader};
 use crate::leaf::take_leaf;
 use crate::metric::Threshold;
 use crate::node::{NodePlace, Viewpoint};
 use crate::stats::CutStats;
+use crate::surfel::CutSurfel;
 use pbgi_format::CHILDREN_MAX;
 use pbgi_math::Vec3;
 use pbgi_store::StoreError;

@@ -448,6 +448,13 @@ impl<'a> LeafView<'a> {
         center
     }
 
+    /// How far codes of positions may move a center along a unit vector.
+    #[must_use]
+    #[inline(always)]
+    pub fn position_error(&self, along: Vec3) -> f32 {
+        self.position_step.iter().map(|step| 0.5 * step.dot(along).abs()).sum()
+    }
+
     /// Orientation and size of surfel `index`.
     #[inline(always)]
     fn shape(&self, index: u32) -> Shape {

@@ -716,8 +716,8 @@ impl CubeRaster {
             return None;
         }
         let covered: &[u16; LANES] = self.covered[start..start + LANES].try_into().ok()?;
-        let mut chunk = TexelChunk::default();
-        chunk.is_open = *covered != [ALL; LANES];
+        let is_open = *covered != [ALL; LANES];
+        let mut chunk = TexelChunk { is_open, ..TexelChunk::default() };
         if chunk.is_open {
             for lane in 0..LANES {
                 let open = (!covered[lane]).count_ones() as f32;

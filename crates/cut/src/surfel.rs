@@ -1,0 +1,79 @@
+//! A surfel of a leaf: what of it does not depend on the receiver.
+
+use pbgi_format::LeafSurfel;
+use pbgi_math::{Aabb, Vec3};
+
+/// What a surfel stands for, relative to its center.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SurfelShape {
+    /// A disk that covers it.
+    Disk,
+    /// A rectangle: unit vectors along its edges, and half their lengths.
+    Rectangle {
+        /// Unit vectors, perpendicular to each other and to the normal.
+        edges: [Vec3; 2],
+        /// Half the lengths.
+        half: [f32; 2],
+    },
+    /// A triangle.
+    Triangle {
+        /// Its corners from its center.
+        corners: [Vec3; 3],
+    },
+}
+
+/// A surfel but for its place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CutSurfel {
+    /// Unit normal; meaningless when isotropic.
+    pub normal: Vec3,
+    /// Radius of the covering disk: the distance of the farthest corner of a rectangle or triangle.
+    pub radius: f32,
+    /// True area.
+    pub area: f32,
+    /// What it stands for.
+    pub shape: SurfelShape,
+    /// How far codes of its place and its normal may move any of it along its normal.
+    pub rounding: f32,
+    /// Corners of a box around it from its center, larger by [`OUTLINE_RESERVE`].
+    pub reach: [Vec3; 2],
+    /// Radiance of the front, W·m⁻²·sr⁻¹.
+    pub radiance: [f32; 3],
+    /// Shows half its area to every direction.
+    pub isotropic: bool,
+    /// Blocks and shines on its front only.
+    pub front_only: bool,
+}
+
+/// Factor by which rectangles and triangles are drawn larger than they are: rounding and the codes' errors leave no gap between neighbors.
+pub const OUTLINE_RESERVE: f32 = 1.02;
+
+/// Angle, in radians, by which codes of normals are off at most: of those that stand for rectangles and triangles, 0.07°.
+const NORMAL_ERROR: f32 = 1.25e-3;
+
+impl CutSurfel {
+    /// A leaf's surfel, whose center the codes may have moved so far along its normal.
+    #[must_use]
+    #[inline(always)]
+    pub fn new(surfel: &LeafSurfel, position_error: f32) -> Self {
+        let &LeafSurfel { normal, radius, area, radiance, isotropic, front_only, .. } = surfel;
+        let (shape, reach) = if surfel.is_triangle() {
+            let corners = surfel.corners();
+            let [a, b, c] = corners.map(|corner| corner * OUTLINE_RESERVE);
+            (SurfelShape::Triangle { corners }, [a.min(b).min(c), a.max(b).max(c)])
+        } else if surfel.is_rectangle() {
+            let (edges, half) = (surfel.tile.edges(normal), surfel.half_edges());
+            let [a, b] = half.map(|half| half * OUTLINE_RESERVE);
+            let reach = edges[0].abs() * a + edges[1].abs() * b;
+            (SurfelShape::Rectangle { edges, half }, [-reach, reach])
+        } else if isotropic {
+            (SurfelShape::Disk, [-Vec3::splat(radius), Vec3::splat(radius)])
+        } else {
+            let Aabb { min, max } = Aabb::from_disk(Vec3::ZERO, normal, radius);
+            (SurfelShape::Disk, [min, max])
+        };
+        let arithmetic = 4.0 * f32::EPSILON * surfel.center.abs().max_element();
+        let rounding = position_error + NORMAL_ERROR * radius + arithmetic;
+        Self { normal, radius, area, shape, rounding, reach, radiance, isotropic, front_only }
+    }
+}
