@@ -36,7 +36,7 @@ pub(super) const CASES: [HardCase; 17] = [
         why: OUTLINE,
         limit: Some(KnownLimit {
             today: 1.0,
-            because: "a surfel that rises less than a share of its radius above the receiver's plane is taken for the receiver's own surface, even if it faces it: 0.01 for tiles",
+            because: "a leaf that holds surfels of two normals stores their places in steps of 1/128 of an edge, 3·10⁻⁴ here: both sheets are at one place in the file",
         }),
         measure: |engine| between_sheets(engine, 1e-4),
     },
@@ -47,7 +47,7 @@ pub(super) const CASES: [HardCase; 17] = [
         why: OUTLINE,
         limit: Some(KnownLimit {
             today: 1.0,
-            because: "a surfel that rises less than a share of its radius above the receiver's plane is taken for the receiver's own surface, even if it faces it: 0.01 for tiles",
+            because: "a leaf that holds surfels of two normals stores their places in steps of 1/128 of an edge, 3·10⁻⁴ here: both sheets are at one place in the file",
         }),
         measure: |engine| between_sheets(engine, 1e-5),
     },
