@@ -7,11 +7,14 @@ use std::path::PathBuf;
 const INTRODUCTION: &str = "\
 # Hard cases
 
-Hard cases are scenes that break what is not careful: surfaces that all but touch, sizes, brightnesses and places far apart, things that are neither open nor closed. Each has an independent expected value
-(a closed form in double precision, another scene that must give the same, or a refusal), a bound on the error with its derivation, and a measurement. This page is written by `cargo xtask bless hard-cases`; `cargo xtask hard-cases` measures
-again and fails where a promise is broken or a known limit got worse. The scenes are in `crates/testkit/src/hard`. Settings are the defaults, where a case does not say otherwise.
+Hard cases are scenes that break what is not careful: surfaces that all but touch, sizes, brightnesses and places far apart, things that are
+neither open nor closed. Each has an independent expected value (a closed form in double precision, another scene that must give the same, or
+a refusal), a bound on the error with its derivation, and a measurement. This page is written by `cargo xtask bless hard-cases`;
+`cargo xtask hard-cases` measures again and fails where a promise is broken or a known limit got worse. The scenes are in
+`crates/testkit/src/hard`. Settings are the defaults, where a case does not say otherwise.
 
-Errors are absolute for shares of the hemisphere and for what has the right value 1, else relative; the largest of all receivers counts. Margin is what is left of the promise. A promise of 0 is one of equal bits, or of a refusal.
+Errors are absolute for shares of the hemisphere and for what has the right value 1, else relative; the largest of all receivers counts.
+Margin is what is left of the promise. A promise of 0 is one of equal bits, or of a refusal.
 ";
 
 const LIMITS: &str = "

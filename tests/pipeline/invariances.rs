@@ -126,7 +126,8 @@ fn differences(found: &[Shading], right: &[Shading]) -> [f32; 2] {
     [open.fold(0.0, f32::max), lit.fold(0.0, f32::max)]
 }
 
-/// Cells move with the scene, and places on the grid round nothing: what is rounded otherwise is the corner of the root's cube, and codes of places with it.
+/// Cells move with the scene, and places on the grid round nothing: what is rounded otherwise is the corner of the root's cube, and codes of
+/// places with it.
 #[test]
 fn moved_scenes_have_the_same_light() {
     for seed in 0..SEEDS {

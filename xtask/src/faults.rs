@@ -1,8 +1,9 @@
 //! Faults at run time: calls on files that fail, full disks, kills and second runs, over every program.
 //!
 //! A library that is loaded before the programs fails the n-th open, read, write, sync or rename of a file, or all writes once the disk is full, or
-//! ends or stops the process at such a call (`faults/shim.c`). Whatever fails, a program ends with a code and a message that say what has failed, inputs and
-//! old outputs are as they were or new ones are whole, and nothing else is left; what a kill leaves, the next run to the same output removes.
+//! ends or stops the process at such a call (`faults/shim.c`). Whatever fails, a program ends with a code and a message that say what has failed,
+//! inputs and old outputs are as they were or new ones are whole, and nothing else is left; what a kill leaves, the next run to the same output
+//! removes.
 
 mod bench;
 mod judge;
@@ -31,18 +32,13 @@ pub fn run(workspace: &Workspace, short: bool) -> Result<(), String> {
     for scenario in SCENARIOS.iter().filter(|scenario| !(short && scenario.is_long)) {
         let found = try_scenario(&bench, scenario, moments)?;
         println!(
-            "{}: {} runs, {} wrong; {} kills left files for the next run to remove",
+            "{}: {} runs, {} wrong; {} failures reported, {} kills left files for the next run to remove",
             scenario.name,
             found.runs,
             found.faults.len(),
+            found.reported,
             found.left
         );
-        if found.left == 0 {
-            faults.push(format!(
-                "{}: no kill left anything, so that nothing was tried",
-                scenario.name
-            ));
-        }
         runs += found.runs;
         faults.extend(found.faults);
     }
@@ -56,34 +52,49 @@ pub fn run(workspace: &Workspace, short: bool) -> Result<(), String> {
 #[derive(Default)]
 struct Found {
     runs: u64,
+    /// Runs that ended with an error.
+    reported: u64,
     /// Kills that left something.
     left: u64,
     faults: Vec<String>,
 }
 
+impl Found {
+    /// Notes a run that is as it must be, and whether it counts, or what is wrong.
+    fn note(
+        &mut self,
+        run: String,
+        result: Result<bool, String>,
+        counter: fn(&mut Self) -> &mut u64,
+    ) {
+        self.runs += 1;
+        match result {
+            Ok(counts) => *counter(self) += u64::from(counts),
+            Err(why) => self.faults.push(format!("{run}: {why}")),
+        }
+    }
+}
+
 fn try_scenario(bench: &Bench, scenario: &Scenario, moments: Moments) -> Result<Found, String> {
     let reference = judge::Reference::new(bench, scenario)?;
     let mut found = Found::default();
-    let mut note = |fault: &Fault, result: Result<bool, String>| {
-        found.runs += 1;
-        match result {
-            Ok(is_left) => found.left += u64::from(is_left),
-            Err(why) => found.faults.push(format!("{}, {fault}: {why}", scenario.name)),
-        }
-    };
     for (kind, calls) in KINDS.into_iter().zip(reference.calls) {
         for at in spread(calls, moments.failures) {
             let fault = Fault { kind, at, does: "fail" };
             let result = reference.try_failure(bench, scenario, &fault)?;
-            note(&fault, result.map(|()| false));
+            found.note(format!("{}, {fault}", scenario.name), result, |found| &mut found.reported);
         }
         if kind == "full" {
             continue;
         }
         for at in spread(calls, moments.kills) {
             let fault = Fault { kind, at, does: "kill" };
-            note(&fault, reference.try_kill(bench, scenario, &fault)?);
+            let result = reference.try_kill(bench, scenario, &fault)?;
+            found.note(format!("{}, {fault}", scenario.name), result, |found| &mut found.left);
         }
+    }
+    if found.reported == 0 || found.left == 0 {
+        found.faults.push(format!("{}: nothing failed, or no kill left anything", scenario.name));
     }
     Ok(found)
 }

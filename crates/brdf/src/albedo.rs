@@ -32,7 +32,8 @@ const ALBEDO: [u16; EDGE * EDGE] = [
     3478, 3273, 3069,
 ];
 
-/// Share of uniform light that a white surface with slopes of width `alpha`, 0.0004..=1, reflects at the first bounce toward an eye at `cosine`, above 0.
+/// Share of uniform light that a white surface with slopes of width `alpha`, 0.0004..=1, reflects at the first bounce toward an eye at
+/// `cosine`, above 0.
 ///
 /// Within 0.5 % of the integral at every width and angle (`tests::the_table_is_the_integral`).
 #[inline]

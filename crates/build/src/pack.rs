@@ -32,8 +32,8 @@ impl<'s> PendingNode<'s> {
         Self { aggregate, content: PendingContent::Leaf(surfels) }
     }
 
-    /// Surfels of a leaf that shine, but so little beside the brightest of the file that lobes of their kind lose more than 1.6 % of their light, or all
-    /// of it.
+    /// Surfels of a leaf that shine, but so little beside the brightest of the file that lobes of their kind lose more than 1.6 % of their
+    /// light, or all of it.
     pub fn count_dim(&self, layout: &SurfelLayout) -> u64 {
         let PendingContent::Leaf(surfels) = &self.content else { return 0 };
         if layout.channels == Channels::Occlusion {

@@ -74,7 +74,7 @@ impl Reference {
         Ok(are_new)
     }
 
-    /// Runs a scenario with a fault that it must survive or report.
+    /// Runs a scenario with a fault that it must survive or report. Returns whether it reports it.
     ///
     /// The outer error is one of the bench.
     pub fn try_failure(
@@ -82,10 +82,11 @@ impl Reference {
         bench: &Bench,
         scenario: &Scenario,
         fault: &Fault,
-    ) -> Result<Result<(), String>, String> {
+    ) -> Result<Result<bool, String>, String> {
         let old = self.prepare(bench, scenario, fault.at.is_multiple_of(2))?;
         let run = bench.run(scenario, Some(fault))?;
-        Ok(self.judge_failure(bench, scenario, fault, &old, &run))
+        let judged = self.judge_failure(bench, scenario, fault, &old, &run);
+        Ok(judged.map(|()| run.code != Some(0)))
     }
 
     fn judge_failure(
@@ -165,7 +166,8 @@ impl Reference {
     }
 }
 
-/// Whether a file is what a run makes of it that nothing fails of: the same bytes, but for times in statistics and for the order of readers in a trace.
+/// Whether a file is what a run makes of it where nothing fails: the same bytes, but for times in statistics and the order of readers in a
+/// trace.
 fn is_whole(name: &str, found: &[u8], reference: &[u8]) -> bool {
     match name.rsplit('.').next() {
         Some("json") => found.starts_with(b"{") && found.ends_with(b"}\n"),
@@ -174,7 +176,8 @@ fn is_whole(name: &str, found: &[u8], reference: &[u8]) -> bool {
     }
 }
 
-/// Whether a trace of pages ends where its last chunk does: `PBGITRC1`, a count and as many words, then chunks of a reader, a count and as many pairs.
+/// Whether a trace of pages ends where its last chunk does: `PBGITRC1`, a count and as many words, then chunks of a reader, a count and as
+/// many pairs.
 fn is_whole_trace(bytes: &[u8]) -> bool {
     let word = |at: usize| {
         let word = bytes.get(at..at + 4)?.first_chunk()?;

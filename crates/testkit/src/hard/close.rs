@@ -16,6 +16,14 @@ use std::fmt::Write;
 const OUTLINE: &str = "an outline of 2π rad crosses 50 texels of 1/64 sr, and is placed within half a sample, 1/32 of a texel, in each: \
     50/(32 · 64 π) = 0.008; a texel's own quadrature adds 0.002";
 
+/// Why sheets very close to each other do not hide each other.
+const ONE_STEP: &str = "a leaf that holds surfels of two normals stores their places in steps of 1/128 of an edge, 3·10⁻⁴ here: both sheets \
+    are at one place in the file";
+
+/// Why disks very close to a receiver do not hide its sky.
+const OWN_DISK: &str = "a disk that rises less than 0.05 of its radius above the receiver's plane is taken for the receiver's own surface, \
+    even if it faces it";
+
 /// Why a small hole is open by its share.
 const HOLE: &str = "four edges of 0.1 rad cross four texels of 1/64 sr, placed within half a sample: 4/(32 · 64 π) = 0.0006; each is drawn 2 % \
     longer at both of its sides than it is, 0.1 · 0.04 of 0.0064, and so are pieces beside it";
@@ -34,10 +42,7 @@ pub(super) const CASES: [HardCase; 17] = [
         about: "`sheets-1e-3`, 10⁻⁴ apart",
         promise: 0.01,
         why: OUTLINE,
-        limit: Some(KnownLimit {
-            today: 1.0,
-            because: "a leaf that holds surfels of two normals stores their places in steps of 1/128 of an edge, 3·10⁻⁴ here: both sheets are at one place in the file",
-        }),
+        limit: Some(KnownLimit { today: 1.0, because: ONE_STEP }),
         measure: |engine| between_sheets(engine, 1e-4),
     },
     HardCase {
@@ -45,10 +50,7 @@ pub(super) const CASES: [HardCase; 17] = [
         about: "`sheets-1e-3`, 10⁻⁵ apart",
         promise: 0.01,
         why: OUTLINE,
-        limit: Some(KnownLimit {
-            today: 1.0,
-            because: "a leaf that holds surfels of two normals stores their places in steps of 1/128 of an edge, 3·10⁻⁴ here: both sheets are at one place in the file",
-        }),
+        limit: Some(KnownLimit { today: 1.0, because: ONE_STEP }),
         measure: |engine| between_sheets(engine, 1e-5),
     },
     HardCase {
@@ -58,7 +60,7 @@ pub(super) const CASES: [HardCase; 17] = [
         why: OUTLINE,
         limit: Some(KnownLimit {
             today: 0.37,
-            because: "sizes of points are estimated too small here and there, and the disks' own-surface share of 0.05 is more than the sheets are apart",
+            because: "sizes of points are estimated too small here and there, and 0.05 of them, as in facing-disk, is more than the sheets are apart",
         }),
         measure: between_points,
     },
@@ -78,10 +80,7 @@ pub(super) const CASES: [HardCase; 17] = [
         about: "a lamp from 10⁻³ to a tenth of its radius before a receiver; openness, and irradiance over π, 1/(1 + h²)",
         promise: 0.01,
         why: OUTLINE,
-        limit: Some(KnownLimit {
-            today: 1.0,
-            because: "a disk that rises less than a share of its radius above the receiver's plane is taken for the receiver's own surface, even if it faces it: 0.05",
-        }),
+        limit: Some(KnownLimit { today: 1.0, because: OWN_DISK }),
         measure: |engine| near_disk(engine, Vec3::NEG_Y),
     },
     HardCase {
