@@ -4,6 +4,7 @@ import os
 import signal
 import threading
 import time
+import warnings
 
 import numpy as np
 import pytest
@@ -118,6 +119,14 @@ def test_a_limit_that_an_input_exceeds_is_a_budget_error(tmp_path, wall):
     with pytest.raises(pbgi.BudgetError, match="memory") as caught:
         pbgi.shade_points(wall, np.ones((1, 3)), np.ones((1, 3)), env=tmp_path / "sky.exr", memory_limit="64MiB")
     assert caught.value.exit_code == 4
+
+
+def test_what_the_caller_once_held_is_not_held_against_a_bake(tmp_path):
+    held = np.ones(300 << 20, dtype=np.uint8)
+    del held
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        pbgi.bake("demo:cornell", tmp_path / "a.pbgi", surfels=5000, memory_limit="64MiB")
 
 
 def test_damage_is_an_input_error(tmp_path):

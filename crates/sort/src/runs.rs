@@ -65,7 +65,7 @@ impl Runs {
     }
 
     /// Bytes of disk space held.
-    #[cfg(test)]
+    #[cfg(all(test, target_os = "linux"))]
     pub fn disk_bytes(&self) -> u64 {
         self.file.disk_bytes()
     }

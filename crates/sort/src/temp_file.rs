@@ -148,7 +148,7 @@ impl TempFile {
     }
 
     /// Bytes of disk space held.
-    #[cfg(test)]
+    #[cfg(all(test, target_os = "linux"))]
     pub fn disk_bytes(&self) -> u64 {
         std::os::unix::fs::MetadataExt::blocks(&self.file.metadata().unwrap()) * 512
     }
@@ -207,7 +207,9 @@ const SPOOL_CHUNK: u64 = 1 << 14;
 mod tests {
     use super::*;
 
+    /// Where the system tells how much room there is.
     #[test]
+    #[cfg(unix)]
     fn a_full_disk_is_found_out_before_writing() {
         let dir = tempfile::tempdir().unwrap();
         let file = TempFile::create(dir.path()).unwrap();
@@ -218,7 +220,9 @@ mod tests {
         assert!(text.contains(dir.path().to_str().unwrap()) && text.contains("bytes free"));
     }
 
+    /// Elsewhere they lose it when they are closed.
     #[test]
+    #[cfg(unix)]
     fn files_have_no_name() {
         let dir = tempfile::tempdir().unwrap();
         let mut file = TempFile::create(dir.path()).unwrap();

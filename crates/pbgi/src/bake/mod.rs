@@ -59,6 +59,7 @@ pub fn bake(
     cancel: &AtomicBool,
 ) -> Result<BakeReport, PbgiError> {
     let start = Instant::now();
+    let peak_before = peak_resident_bytes();
     request.check()?;
     let _claim = claim(&request.output)?;
     let memory = BakeMemory::new(request.memory_limit, request.threads, request.light.is_any());
@@ -105,7 +106,7 @@ pub fn bake(
     let sorted = baker.estimate(sorted, lacks_normals)?;
     let build = baker.build(sorted)?;
     remove_kept(&kept, None, request)?;
-    Ok(baker.finish(&build, start))
+    Ok(baker.finish(&build, start, peak_before))
 }
 
 /// Claims the output: what another bake of it has made so far must not be touched.
@@ -487,12 +488,18 @@ impl<'a> Baker<'a> {
         self.report.phases.push(PhaseReport::new(name, seconds, surfels));
     }
 
-    /// The report of the whole, and its warnings to the user.
-    fn finish(mut self, build: &BuildReport, start: Instant) -> BakeReport {
+    /// The report of the whole, and its warnings to the user. What the process held before, at its peak, is not the bake's doing.
+    fn finish(
+        mut self,
+        build: &BuildReport,
+        start: Instant,
+        peak_before: Option<u64>,
+    ) -> BakeReport {
         let seconds = start.elapsed().as_secs_f64();
         let peak = peak_resident_bytes();
         let used = process_use().unwrap_or_default();
-        if let Some(peak) = peak.filter(|&peak| peak > self.request.memory_limit) {
+        let exceeds = |&peak: &u64| peak > self.request.memory_limit && Some(peak) > peak_before;
+        if let Some(peak) = peak.filter(exceeds) {
             let (peak, limit) = (format_bytes(peak), format_bytes(self.request.memory_limit));
             self.report.warnings.push(format!(
                 "the peak of memory, {peak}, exceeds the limit of {limit}: reading the inputs took more"
