@@ -1,6 +1,6 @@
 //! Hard cases: scenes that break what is not careful, each with what is right there and how far a result may be from it.
 //!
-//! What is right follows from closed forms in `f64` ([`forms`]), from another scene that must give the same, or from what must be refused. An
+//! What is right follows from closed forms in `f64` (`forms`), from another scene that must give the same, or from what must be refused. An
 //! engine is judged through [`Engine`], so that this crate knows nothing of it.
 
 mod close;
