@@ -18,6 +18,7 @@ impl SimdLevel {
     /// Every level this processor has, narrowest first.
     #[must_use]
     pub fn available() -> Vec<Self> {
+        #[cfg_attr(not(target_arch = "x86_64"), expect(unused_mut, reason = "there are no others"))]
         let mut levels = vec![Self::Baseline];
         #[cfg(target_arch = "x86_64")]
         {
