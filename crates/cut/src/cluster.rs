@@ -114,11 +114,10 @@ impl Cluster {
             shown[at] = seen;
             count += 1;
         }
-        if count > 1 {
+        // One lobe of a solid thing hides nothing of itself.
+        if count > 1 || shown[0].is_sheet {
             count = drop_backs(&mut shown[..count]);
             thin_sheets(&mut shown[..count], lobes, || box_silhouette(half, toward_receiver));
-        } else if count == 1 && shown[0].is_sheet && !shown[0].is_flat {
-            thin_sheets(&mut shown[..1], lobes, || box_silhouette(half, toward_receiver));
         }
         let margin = Self::REACH * (high - low).max_element();
         let mut cluster = Self {

@@ -2,10 +2,10 @@
 
 use crate::cluster::Cluster;
 use crate::metric::{NodeSeen, Threshold};
-use crate::node::{NodePlace, Viewpoint, larger};
+use crate::node::{NodePlace, Viewpoint};
 use crate::stats::CutStats;
 use pbgi_format::CHILDREN_MAX;
-use pbgi_math::{Aabb, Vec3};
+use pbgi_math::{Aabb, Vec3, larger};
 
 /// Eight boxes, by axis: those of a group's children or of some of a leaf's surfels.
 #[derive(Clone, Copy, Debug, Default)]

@@ -6,7 +6,7 @@ use crate::node::{NodePlace, bad_link, node_seed, pin_sound_page, view_group};
 use crate::stats::CutStats;
 use crate::surfel::CutSurfel;
 use pbgi_format::{CHILDREN_MAX, Channels, ChildLink, Lobe, PageId, SurfelLayout, SurfelPage};
-use pbgi_math::Vec3;
+use pbgi_math::{Aabb, Vec3};
 use pbgi_store::{Octree, Reader, StoreError};
 
 /// No node is known by this number yet.
@@ -54,8 +54,14 @@ pub(crate) struct KnownLeaf {
     offset: u32,
 }
 
+/// What a child links to.
+pub(crate) enum Below {
+    Group(GroupIndex),
+    Leaf(KnownLeaf),
+}
+
 impl<'a> NodeReader<'a> {
-    /// Keeps up to `bytes_max` of decoded nodes, and as much again as one page holds.
+    /// Keeps up to `bytes_max` of decoded nodes, and one group or leaf more.
     #[must_use]
     pub fn new(reader: Reader<'a>, bytes_max: usize) -> Self {
         Self {
@@ -200,96 +206,81 @@ impl<'a> NodeReader<'a> {
         Ok(index)
     }
 
-    /// The group below a child that is no leaf; none in a damaged page that is left out.
+    /// What is below a child; none in a damaged page that is left out.
     #[inline(always)]
-    pub(crate) fn child(
+    pub(crate) fn below(
         &mut self,
         at: GroupIndex,
-        index: usize,
+        octant: u8,
         stats: &mut CutStats,
-    ) -> Result<Option<GroupIndex>, StoreError> {
-        let mut child = self.group(at).links[index];
-        if child == UNKNOWN {
-            child = self.read_child(at, index, stats)?;
-            self.groups[at.index as usize].links[index] = child;
+    ) -> Result<Option<Below>, StoreError> {
+        let group = self.group(at);
+        let (index, is_leaf) = (group.index(octant), group.leaves >> octant & 1 != 0);
+        let mut link = group.links[index];
+        if link == UNKNOWN {
+            link = self.read_link(group.place, index, is_leaf, stats)?;
+            self.groups[at.index as usize].links[index] = link;
         }
-        Ok((child != MISSING).then(|| self.numbered(child)))
+        if link == MISSING {
+            return Ok(None);
+        }
+        Ok(Some(match is_leaf {
+            true => Below::Leaf(self.leaves[link as usize]),
+            false => Below::Group(self.numbered(link)),
+        }))
     }
 
+    /// The number of what a child of the group at a place links to.
     #[cold]
-    fn read_child(
+    fn read_link(
         &mut self,
-        at: GroupIndex,
+        NodePlace { page: id, offset, level }: NodePlace,
         index: usize,
+        is_leaf: bool,
         stats: &mut CutStats,
     ) -> Result<u32, StoreError> {
-        let NodePlace { page: id, offset, level } = self.group(at).place;
         let Self { reader, layout, .. } = self;
-        let depth = reader.octree().header().depth;
         let Some(page) = pin_sound_page(reader, id, usize::from(level) - 1, stats)? else {
             return Ok(MISSING);
         };
         let (view, group) = view_group(reader, &page, id, offset, layout.channels)?;
-        let (page, offset) = match group.link(index, false) {
-            ChildLink::Leaf { .. } => return Ok(MISSING),
+        let (page, offset) = match group.link(index, is_leaf) {
+            ChildLink::Leaf { offset, count } => {
+                let Some(surfel_page) = view.fields().surfel_page else {
+                    let error = bad_link("leaf: surfel page", u32::MAX);
+                    return Err(reader.invalid_page(id, error));
+                };
+                let place = (offset, count);
+                return self.read_leaf(surfel_page, place, &group.leaf_frame(index), level, stats);
+            }
             ChildLink::Group(offset) => (id, offset),
             ChildLink::External(link) => match view.external_link(link) {
                 Some(link) => (link.page, link.offset),
                 None => return Err(reader.invalid_page(id, bad_link("link: index", link))),
             },
         };
+        let depth = reader.octree().header().depth;
         if u32::from(level) >= depth {
             return Err(reader.invalid_page(page, bad_link("tree: depth", depth)));
         }
-        let place = NodePlace { page, offset, level: level + 1 };
-        self.read_group(place, stats)
+        self.read_group(NodePlace { page, offset, level: level + 1 }, stats)
     }
 
-    /// The surfels of a child that is a leaf; none in a damaged page that is left out.
-    #[inline(always)]
-    pub(crate) fn leaf(
-        &mut self,
-        at: GroupIndex,
-        index: usize,
-        stats: &mut CutStats,
-    ) -> Result<Option<KnownLeaf>, StoreError> {
-        let mut leaf = self.group(at).links[index];
-        if leaf == UNKNOWN {
-            leaf = self.read_leaf(at, index, stats)?;
-            self.groups[at.index as usize].links[index] = leaf;
-        }
-        Ok((leaf != MISSING).then(|| self.leaves[leaf as usize]))
-    }
-
-    #[cold]
+    /// The number of a leaf, whose first byte and count these are, and whose positions refer to `frame`.
     fn read_leaf(
         &mut self,
-        at: GroupIndex,
-        index: usize,
+        id: PageId,
+        place: (u32, u32),
+        frame: &Aabb,
+        level: u8,
         stats: &mut CutStats,
     ) -> Result<u32, StoreError> {
-        let NodePlace { page: owner, offset, level } = self.group(at).place;
         let Self { reader, layout, .. } = self;
-        let Some(page) = pin_sound_page(reader, owner, usize::from(level) - 1, stats)? else {
-            return Ok(MISSING);
-        };
-        let (view, group) = view_group(reader, &page, owner, offset, layout.channels)?;
-        let ChildLink::Leaf { offset, count } = group.link(index, true) else {
-            return Ok(MISSING);
-        };
-        let frame = group.leaf_frame(index);
-        let Some(id) = view.fields().surfel_page else {
-            return Err(reader.invalid_page(owner, bad_link("leaf: surfel page", u32::MAX)));
-        };
         let Some(page) = pin_sound_page(reader, id, usize::from(level), stats)? else {
             return Ok(MISSING);
         };
-        let found = SurfelPage::new(page.bytes())
-            .and_then(|page| page.leaf((offset, count), &frame, layout));
-        let found = match found {
-            Ok(found) => found,
-            Err(error) => return Err(reader.invalid_page(id, error)),
-        };
+        let found = SurfelPage::new(page.bytes()).and_then(|page| page.leaf(place, frame, layout));
+        let found = found.map_err(|error| reader.invalid_page(id, error))?;
         let start = self.surfels.len() as u32;
         for surfel in (0..found.count()).map(|index| found.surfel(index)) {
             self.centers.push(surfel.center);
@@ -297,7 +288,7 @@ impl<'a> NodeReader<'a> {
             self.surfels.push(CutSurfel::new(&surfel, error));
         }
         let number = self.leaves.len() as u32;
-        self.leaves.push(KnownLeaf { start, count: found.count(), page: id, offset });
+        self.leaves.push(KnownLeaf { start, count: found.count(), page: id, offset: place.0 });
         self.weigh();
         Ok(number)
     }

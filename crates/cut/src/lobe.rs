@@ -78,15 +78,14 @@ pub(crate) fn find_shares(lobes: &mut [KnownLobe], bounds: &Aabb) {
         .iter()
         .map(|known| outline_bounds(known.normal, known.point, known.lobe.stencil, bounds))
         .collect();
-    for own in 0..lobes.len() {
-        for other in 0..lobes.len() {
-            let share = match lobes[own].axis == lobes[other].axis {
+    let is_flat = |index: &usize| lobes[*index].is_flat;
+    let flat: Vec<usize> = (0..lobes.len()).filter(is_flat).collect();
+    for &own in &flat {
+        for &other in &flat {
+            lobes[own].shares[other] = match lobes[own].axis == lobes[other].axis {
                 true => lobes[own].lobe.stencil.share_in(lobes[other].lobe.stencil),
                 false => share_of_box(&boxes[own], &boxes[other]),
             };
-            if lobes[own].is_flat && lobes[other].is_flat {
-                lobes[own].shares[other] = share;
-            }
         }
     }
 }

@@ -23,7 +23,7 @@ pub struct NodeSeen {
     pub distance2: f32,
     /// The sphere's squared radius.
     pub radius2: f32,
-    /// Largest height of its box over the horizon, of all receivers that it is seen by.
+    /// Largest height of its box over the receiver's horizon.
     pub top: f32,
     /// Whether the node's surfels are one piece of a plane, which as one look as they do singly.
     pub is_plane: bool,

@@ -2,7 +2,7 @@
 
 use crate::stats::{CutStats, LEVELS};
 use pbgi_format::{CHILDREN_MAX, Channels, FormatError, GroupView, NodePage, PageId};
-use pbgi_math::Vec3;
+use pbgi_math::{Vec3, larger};
 use pbgi_store::{PageRef, Reader, StoreError};
 
 /// Where a group lies in the file.
@@ -76,12 +76,6 @@ pub(crate) fn view_group<'p>(
         Ok((view, group))
     });
     group.map_err(|error| reader.invalid_page(page_id, error))
-}
-
-/// The larger of two numbers, in one instruction: neither is none.
-#[inline(always)]
-pub(crate) fn larger(a: f32, b: f32) -> f32 {
-    if a > b { a } else { b }
 }
 
 /// A number that tells nodes apart.

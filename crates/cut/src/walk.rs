@@ -2,7 +2,7 @@
 
 use crate::cluster::Cluster;
 use crate::group::Boxes;
-use crate::known::{GroupIndex, NodeReader};
+use crate::known::{Below, GroupIndex, NodeReader};
 use crate::leaf::take_leaf;
 use crate::metric::Threshold;
 use crate::node::{NodePlace, Viewpoint};
@@ -41,13 +41,6 @@ impl CutReceiver {
     #[inline(always)]
     pub fn normal(&self) -> Vec3 {
         self.view.normal
-    }
-
-    /// Its position.
-    #[must_use]
-    #[inline(always)]
-    pub fn position(&self) -> Vec3 {
-        self.view.position
     }
 }
 
@@ -158,14 +151,6 @@ struct Walk<'w, 'a, V, T> {
     stats: &'w mut CutStats,
 }
 
-/// A child of a group that is not below the horizon.
-struct Child {
-    group: GroupIndex,
-    place: NodePlace,
-    octant: u8,
-    is_large: bool,
-}
-
 impl<V: CutVisitor, T: Threshold> Walk<'_, '_, V, T> {
     /// Goes on with the children of a group.
     #[inline(always)]
@@ -201,38 +186,42 @@ impl<V: CutVisitor, T: Threshold> Walk<'_, '_, V, T> {
                 self.scratch.frames.pop();
                 continue;
             }
-            let (group, place, is_large) = (frame.group, frame.place, frame.large & bit != 0);
+            let (group, is_large) = (frame.group, frame.large & bit != 0);
             let index = self.nodes.group(group).index(octant);
             let ([low, high], kept) = (frame.boxes.get(index), frame.kept[index]);
             if !self.visitor.is_open(low, high, kept) {
                 self.stats.culled_opaque += 1;
-                continue;
+            } else if is_large {
+                self.descend(group, octant)?;
+            } else {
+                self.take_as_one(group, octant)?;
             }
-            self.take(&Child { group, place, octant, is_large })?;
         }
     }
 
-    /// Takes a node as one, or the surfels of a leaf, or goes on with its children.
+    /// Takes the node of an octant as one.
     #[inline(always)]
-    fn take(&mut self, child: &Child) -> Result<(), StoreError> {
-        let &Child { group, place, octant, .. } = child;
+    fn take_as_one(&mut self, group: GroupIndex, octant: u8) -> Result<(), StoreError> {
         let known = self.nodes.group(group);
-        let (index, is_leaf) = (known.index(octant), known.leaves >> octant & 1 != 0);
-        if !child.is_large {
-            let (bounds, position) = (known.bounds(index), self.receiver.view.position);
-            let lobes = self.nodes.lobes(group, index, self.stats)?;
-            let seed = place.seed(octant);
-            let (low, high) = (bounds.min - position, bounds.max - position);
-            let cluster = Cluster::from_lobes(low, high, lobes, seed, position);
-            self.visitor.take_cluster(&cluster);
-            self.stats.clusters += 1;
-        } else if is_leaf {
-            if let Some(leaf) = self.nodes.leaf(group, index, self.stats)? {
+        let (index, seed) = (known.index(octant), known.place.seed(octant));
+        let (bounds, position) = (known.bounds(index), self.receiver.view.position);
+        let lobes = self.nodes.lobes(group, index, self.stats)?;
+        let (low, high) = (bounds.min - position, bounds.max - position);
+        self.visitor.take_cluster(&Cluster::from_lobes(low, high, lobes, seed, position));
+        self.stats.clusters += 1;
+        Ok(())
+    }
+
+    /// Takes the surfels of a leaf in an octant, or goes on with the children of its node.
+    #[inline(always)]
+    fn descend(&mut self, group: GroupIndex, octant: u8) -> Result<(), StoreError> {
+        match self.nodes.below(group, octant, self.stats)? {
+            Some(Below::Group(child)) => self.enter(child),
+            Some(Below::Leaf(leaf)) => {
                 let Self { nodes, receiver, visitor, scratch, stats, .. } = self;
                 take_leaf(nodes, leaf, receiver, *visitor, &mut scratch.order, stats);
             }
-        } else if let Some(child) = self.nodes.child(group, index, self.stats)? {
-            self.enter(child);
+            None => {}
         }
         Ok(())
     }

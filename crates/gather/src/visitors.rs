@@ -31,10 +31,7 @@ impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
 
     #[inline(always)]
     fn is_open(&mut self, low: Vec3, high: Vec3, kept: Kept) -> bool {
-        self.footprint = match kept {
-            NO_FOOTPRINT_CODE => self.raster.footprint(low, high),
-            code => Footprint::from_code(code),
-        };
+        self.footprint = self.raster.footprint_of(kept, low, high);
         self.raster.is_open(&self.footprint)
     }
 
@@ -65,13 +62,8 @@ impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
 impl<L: Lanes> SurfelPen for CubeVisitor<'_, L> {
     #[inline(always)]
     fn draw<S: Shape>(&mut self, seen: &SurfelSeen<'_>, shape: &S, outline: &Outline) {
-        let footprint = match seen.kept {
-            NO_FOOTPRINT_CODE => {
-                let [low, high] = seen.bounds();
-                self.raster.footprint(low, high)
-            }
-            code => Footprint::from_code(code),
-        };
+        let [low, high] = seen.bounds();
+        let footprint = self.raster.footprint_of(seen.kept, low, high);
         if !self.raster.shines() && !self.raster.is_open(&footprint) {
             return;
         }

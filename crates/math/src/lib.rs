@@ -35,6 +35,20 @@ pub use tile::{
     FootCode, TileCode, rectangle_half_edges, triangle_base, triangle_corners, triangle_radius,
 };
 
+/// The larger of two numbers; one instruction where `f32::max` takes three, for inputs that are never NaN.
+#[must_use]
+#[inline(always)]
+pub fn larger(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
+/// The smaller of two numbers; see [`larger`].
+#[must_use]
+#[inline(always)]
+pub fn smaller(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
 /// Relative luminance of linear Rec. 709 RGB.
 #[must_use]
 #[inline]

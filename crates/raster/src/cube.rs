@@ -6,7 +6,7 @@ use crate::samples::{Veil, offset_sum, place, sample_near};
 use crate::shape::Shape;
 use crate::table::{CubeRasterTable, LANES};
 use crate::texel_light::TexelLight;
-use pbgi_math::{CubeFace, Vec3};
+use pbgi_math::{CubeFace, Vec3, larger};
 
 /// Most shapes that are drawn together.
 pub const SHAPES_MAX: usize = 4;
@@ -75,9 +75,8 @@ pub const NO_FOOTPRINT_CODE: FootprintCode = u64::MAX;
 
 impl Footprint {
     /// The one of a code of one face.
-    #[must_use]
     #[inline(always)]
-    pub fn from_code(code: FootprintCode) -> Self {
+    fn from_code(code: FootprintCode) -> Self {
         let byte = |index: u32| (code >> (8 * index)) as u8;
         let (columns, rows) = ([byte(1), byte(2)], [byte(3), byte(4)]);
         let mut ranges = [TexelRange::default(); 6];
@@ -121,7 +120,7 @@ impl Tilt {
         let mean = middle + (reach[0] * sum[0] + reach[1] * sum[1]) / count;
         // Where the horizon leaves a corner, what is linear may not be positive there.
         let least = 0.1 * (reach[0].abs() + reach[1].abs()) + 1e-6;
-        let inverse = 1.0 / crate::larger(mean, least);
+        let inverse = 1.0 / larger(mean, least);
         let slope = reach.map(|r| r * inverse);
         let middle = 1.0 - (slope[0] * sum[0] + slope[1] * sum[1]) / count;
         Self { middle, slope }
@@ -130,7 +129,7 @@ impl Tilt {
     /// At a place of the texel, −1..=1 from border to border.
     #[inline(always)]
     fn at(&self, place: [f32; 2]) -> f32 {
-        crate::larger(self.middle + self.slope[0] * place[0] + self.slope[1] * place[1], 0.0)
+        larger(self.middle + self.slope[0] * place[0] + self.slope[1] * place[1], 0.0)
     }
 
     /// On the mean over samples.
@@ -447,6 +446,16 @@ impl CubeRaster {
         footprint
     }
 
+    /// The same for a box whose code was found before.
+    #[must_use]
+    #[inline(always)]
+    pub fn footprint_of(&self, code: FootprintCode, low: Vec3, high: Vec3) -> Footprint {
+        match code {
+            NO_FOOTPRINT_CODE => self.footprint(low, high),
+            code => Footprint::from_code(code),
+        }
+    }
+
     /// Codes of the footprints of eight boxes, relative to the receiver, as of [`Self::footprint`].
     #[must_use]
     #[inline(always)]
@@ -554,7 +563,7 @@ impl CubeRaster {
         cosine: f32,
         radiance: &[f32; 3],
     ) {
-        let weight = solid_angle * crate::larger(cosine, 0.0);
+        let weight = solid_angle * larger(cosine, 0.0);
         for (sum, light) in self.lamp_irradiance.iter_mut().zip(radiance) {
             *sum += weight * light;
         }
@@ -766,7 +775,7 @@ fn smaller_index(a: usize, b: usize) -> usize {
 /// A count to divide by.
 #[inline(always)]
 fn larger_than_zero(count: f32) -> f32 {
-    crate::larger(count, 1.0)
+    larger(count, 1.0)
 }
 
 #[cfg(test)]

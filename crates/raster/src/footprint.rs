@@ -1,9 +1,8 @@
 //! The footprint of an axis-aligned box on the faces of a world-aligned cube.
 
-use pbgi_math::{CubeFace, Vec3};
+use pbgi_math::{CubeFace, Vec3, larger, smaller};
 
 use crate::shape::turn;
-use crate::{larger, smaller};
 
 /// A rectangle in the coordinates of a cube face, inside −1..=1.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -165,11 +164,8 @@ mod tests {
 
     #[test]
     fn eight_boxes_at_a_time_have_the_same_rectangles() {
-        let mut seed = 1u32;
-        let mut random = || {
-            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            (seed >> 8) as f32 / (1 << 23) as f32 - 1.0
-        };
+        let mut seed = 1;
+        let mut random = || crate::random(&mut seed);
         let mut inside_count = 0;
         for _ in 0..4000 {
             let (mut low, mut high) = ([[0.0; BOXES]; 3], [[0.0; BOXES]; 3]);
@@ -227,11 +223,8 @@ mod tests {
 
     #[test]
     fn no_face_that_a_box_reaches_is_left_out() {
-        let mut seed = 7u32;
-        let mut random = || {
-            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            (seed >> 8) as f32 / (1 << 23) as f32 - 1.0
-        };
+        let mut seed = 7;
+        let mut random = || crate::random(&mut seed);
         let mut several = 0;
         for _ in 0..20_000 {
             let mut vector = || Vec3::new(random(), random(), random());

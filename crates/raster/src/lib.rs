@@ -25,14 +25,9 @@ pub use simd::{SimdLevel, WideKernel, run_wide};
 pub use table::{CubeRasterTable, LANES};
 pub use window::{Window, WindowRaster};
 
-/// The larger of two numbers; one instruction where `f32::max` takes three, for inputs that are never NaN.
-#[inline(always)]
-pub(crate) fn larger(a: f32, b: f32) -> f32 {
-    if a > b { a } else { b }
-}
-
-/// The smaller of two numbers; see [`larger`].
-#[inline(always)]
-pub(crate) fn smaller(a: f32, b: f32) -> f32 {
-    if a < b { a } else { b }
+/// Numbers in −1..=1.
+#[cfg(test)]
+fn random(seed: &mut u32) -> f32 {
+    *seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+    (*seed >> 8) as f32 / (1 << 23) as f32 - 1.0
 }

@@ -1,7 +1,7 @@
 //! What is drawn: pieces of planes, cut out by boxes, circles, rectangles or triangles, and which directions meet them.
 
 use crate::lanes::Lanes;
-use pbgi_math::{Aabb, CubeFace, STENCIL_EDGE, Stencil, Vec3};
+use pbgi_math::{CubeFace, STENCIL_EDGE, Stencil, Vec3};
 
 /// A part of a plane that does not contain the receiver.
 ///
@@ -161,16 +161,6 @@ pub struct Tile {
     pub distance_min: f32,
 }
 
-impl Tile {
-    /// Its box.
-    #[must_use]
-    #[inline(always)]
-    pub fn bounds(&self) -> Aabb {
-        let reach = self.edges[0].abs() * self.half[0] + self.edges[1].abs() * self.half[1];
-        Aabb { min: self.center - reach, max: self.center + reach }
-    }
-}
-
 impl Shape for Tile {
     #[inline(always)]
     fn inverse(&self) -> Vec3 {
@@ -256,6 +246,7 @@ impl Shape for Triangle {
 mod tests {
     use super::*;
     use crate::lanes::SAMPLES;
+    use crate::random;
     use crate::{SimdLevel, WideKernel, run_wide};
 
     /// Which of sixteen directions meet a section.
@@ -276,12 +267,6 @@ mod tests {
             let direction = [lane(0), lane(1), lane(2)];
             self.section.meets(direction, along(direction, self.section.inverse))
         }
-    }
-
-    /// Numbers in −1..=1.
-    fn random(seed: &mut u32) -> f32 {
-        *seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        (*seed >> 8) as f32 / (1 << 23) as f32 - 1.0
     }
 
     #[test]

@@ -1,5 +1,7 @@
 //! The light that pieces shine into a texel.
 
+use pbgi_math::larger;
+
 /// Light of a texel.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(32))]
@@ -19,8 +21,8 @@ impl TexelLight {
     /// Radiance of a texel that is covered wholly: its surfaces share what lamps leave of it.
     #[inline(always)]
     pub fn made_whole(&self) -> [f32; 3] {
-        let rest = crate::larger(1.0 - self.lamp_weight, 0.0);
-        let scale = rest / crate::larger(self.weight, 1e-6);
+        let rest = larger(1.0 - self.lamp_weight, 0.0);
+        let scale = rest / larger(self.weight, 1e-6);
         self.radiance.map(|sum| sum * scale)
     }
 

@@ -47,9 +47,18 @@ impl BakeMemory {
         let mut bytes = BUILD_BYTES + MARGIN_BYTES + self.threads as u64 * THREAD_BYTES;
         if self.lights {
             bytes += CHUNK_RECEIVERS as u64 * SHADED_SURFEL_BYTES;
-            bytes += node_bytes_held(self.limit, self.threads);
         }
-        bytes
+        bytes + self.node_bytes()
+    }
+
+    /// Bytes of decoded nodes that gathers keep.
+    fn node_bytes(&self) -> u64 {
+        if self.lights { node_bytes_held(self.limit, self.threads) } else { 0 }
+    }
+
+    /// The least limit that holds so many bytes besides these.
+    fn limit_for(&self, beside: u64) -> u64 {
+        if self.lights { limit_beside_nodes(beside, self.threads) } else { beside }
     }
 
     /// Bytes for the sort, now that all inputs are open: what they and the reserve leave, or half of it
@@ -66,13 +75,8 @@ impl BakeMemory {
         let parts = if self.lights { 2 } else { 1 };
         let least = held + self.reserve() + parts * BUDGET_BYTES_MIN;
         if least > self.limit {
-            let nodes = if self.lights { node_bytes_held(self.limit, self.threads) } else { 0 };
-            let beside = least + MARGIN_BYTES - nodes;
-            let needed = if self.lights {
-                limit_beside_nodes(beside, self.threads).div_ceil(1 << 20)
-            } else {
-                beside.div_ceil(1 << 20)
-            };
+            let beside = least + MARGIN_BYTES - self.node_bytes();
+            let needed = self.limit_for(beside).div_ceil(1 << 20);
             return Err(PbgiError::budget(format!(
                 "a memory limit of {} does not hold the program, its inputs ({} by now) and the \
                  sort; at least {needed} MiB are needed (--memory-limit {needed}MiB)",

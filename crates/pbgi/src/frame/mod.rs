@@ -392,7 +392,6 @@ mod tests {
         }
     }
 
-    /// Blocks share across all that is done at once, which must follow neither the threads nor the limit.
     #[test]
     fn neither_threads_nor_memory_change_the_image() {
         let folder = tempfile::tempdir().unwrap();

@@ -33,7 +33,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
-/// Receivers handed to the workers at once. Blocks that share are of one chunk, so that it must depend neither on threads nor on memory.
+/// Receivers handed to the workers at once.
 pub(crate) const CHUNK_RECEIVERS: usize = 1 << 14;
 
 /// Bytes of all chunks under way, where each receiver has `attached_bytes` beside it.

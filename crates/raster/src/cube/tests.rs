@@ -179,8 +179,8 @@ fn draw_tile(raster: &mut CubeRaster, center: Vec3, halves: [Vec3; 2], reserve: 
     };
     let (d2, area) = (center.length_squared(), 4.0 * halves[0].length() * halves[1].length());
     let ink = ink(area * normal.dot(center).abs() / (d2 * d2.sqrt()), 1.0);
-    let bounds = tile.bounds();
-    let footprint = raster.footprint(bounds.min, bounds.max);
+    let reach = edges[0].abs() * tile.half[0] + edges[1].abs() * tile.half[1];
+    let footprint = raster.footprint(center - reach, center + reach);
     raster.draw::<Plain, _>(&[(tile, ink)], &footprint, center);
 }
 
