@@ -836,6 +836,30 @@ mod tests {
         }
     }
 
+    /// Of scattered disks as along the axes of a box, of a wall as along its own, where heights are hardly rounded at all.
+    #[test]
+    fn centers_are_no_farther_off_than_their_leaf_says() {
+        let mut random = Random(5);
+        let disks: Vec<_> = (0..255).map(|_| random.disk()).collect();
+        for (surfels, along_normal) in [(disks, 0.0..1.0), (wall(), 0.0..2e-5)] {
+            let page = page_of(&surfels, &LAYOUT);
+            let place = (SURFEL_PAGE_HEADER_BYTES as u32, surfels.len() as u32);
+            let leaf = LeafView::new(&page, place, &FRAME, &LAYOUT).unwrap();
+            let normal = decode_octahedral24(surfels[0].orientation);
+            assert!(along_normal.contains(&leaf.position_error(normal)));
+            for along in [Vec3::X, Vec3::Y, Vec3::Z, Vec3::new(0.6, 0.0, 0.8), normal] {
+                let bound = leaf.position_error(along);
+                let off = |(i, surfel): (u32, &SurfelFields)| {
+                    (leaf.center(i) - surfel.center).dot(along).abs()
+                };
+                let worst = (0..).zip(&surfels).map(off).fold(0.0, f32::max);
+                assert!(worst <= bound + 4.0 * f32::EPSILON, "{along}: {worst} of {bound}");
+            }
+            let bound = leaf.position_error(Vec3::X);
+            assert!(bound > 1e-4 && bound < 2e-3, "{bound}");
+        }
+    }
+
     #[test]
     fn finest_leaves_round_by_the_last_bits_of_their_codes() {
         let mut random = Random(2);
