@@ -2,7 +2,6 @@
 
 use crate::layout_lock;
 use crate::workspace::Workspace;
-use std::process::Command;
 
 /// Tells the tests of the document to write instead of to compare.
 const BLESS: &str = "PBGI_BLESS";
@@ -16,10 +15,10 @@ pub fn bless_layout(workspace: &Workspace) -> Result<(), String> {
 
 /// Rewrites the golden octree file and the dump of it in the document.
 pub fn bless_golden(workspace: &Workspace) -> Result<(), String> {
-    let status = Command::new("cargo")
+    let status = workspace
+        .cargo()
         .args(["test", "--quiet", "-p", "pbgi-tests", "--test", "pipeline", "format_document"])
         .env(BLESS, "1")
-        .current_dir(workspace.root())
         .status()
         .map_err(|e| format!("cargo test: {e}"))?;
     if !status.success() {

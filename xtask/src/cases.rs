@@ -63,8 +63,7 @@ fn name_of(folder: &Path) -> String {
 
 /// Builds the tools; returns their folder.
 fn build_tools(workspace: &Workspace) -> Result<PathBuf, String> {
-    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    let mut command = Command::new(cargo);
+    let mut command = workspace.cargo();
     command.args([
         "build",
         "-p",
@@ -76,13 +75,11 @@ fn build_tools(workspace: &Workspace) -> Result<PathBuf, String> {
         "-p",
         "pbgi-demo",
     ]);
-    let status = command.current_dir(workspace.root()).status().map_err(|e| e.to_string())?;
+    let status = command.status().map_err(|e| e.to_string())?;
     if !status.success() {
         return Err("the tools do not build".into());
     }
-    let target = std::env::var_os("CARGO_TARGET_DIR")
-        .map_or_else(|| workspace.root().join("target"), PathBuf::from);
-    Ok(target.join("debug"))
+    Ok(workspace.target().join("debug"))
 }
 
 /// What is wrong with a case, if something is.

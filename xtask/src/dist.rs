@@ -2,7 +2,7 @@
 
 use crate::licenses::texts_of;
 use crate::packages::Packages;
-use crate::workspace::Workspace;
+use crate::workspace::{Workspace, succeed_shown};
 use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -88,7 +88,7 @@ impl Release {
     /// Builds, gathers and packs.
     fn pack(&self, workspace: &Workspace) -> Result<PathBuf, String> {
         let built = self.build(workspace)?;
-        let dist = target_folder(workspace).join("dist");
+        let dist = workspace.target().join("dist");
         let folder = dist.join(self.stem());
         let fault = |e: std::io::Error| format!("{}: {e}", folder.display());
         let _ = fs::remove_dir_all(&folder);
@@ -115,20 +115,19 @@ impl Release {
         tar.args(["--sort=name", "--mtime=@0", "--owner=0", "--group=0", "--numeric-owner"]);
         tar.args(["--mode=u=rwX,go=rX", "--format=ustar", "--use-compress-program=gzip -n9"]);
         tar.arg("-C").arg(&dist).arg("-cf").arg(&archive).arg(self.stem());
-        succeed(&mut tar)?;
+        succeed_shown(&mut tar)?;
         Ok(archive)
     }
 
     /// Compiles the program; where it lies.
     fn build(&self, workspace: &Workspace) -> Result<PathBuf, String> {
-        let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-        let mut build = Command::new(cargo);
+        let mut build = workspace.cargo();
         build.args(["build", "--release", "--locked", "--package", PACKAGE, "--bin", "pbgi"]);
-        build.args(["--target", &self.target]).current_dir(workspace.root());
+        build.args(["--target", &self.target]);
         build.env("CARGO_PROFILE_RELEASE_STRIP", "symbols");
         build.env("RUSTFLAGS", shorten_paths(workspace)?);
-        succeed(&mut build)?;
-        Ok(target_folder(workspace).join(&self.target).join("release").join(self.program()))
+        succeed_shown(&mut build)?;
+        Ok(workspace.target().join(&self.target).join("release").join(self.program()))
     }
 }
 
@@ -179,17 +178,6 @@ fn is_static(elf: &[u8]) -> Option<bool> {
         is_static &= u32::from_le_bytes(*elf.get(at..)?.first_chunk()?) != INTERPRETER;
     }
     Some(is_static)
-}
-
-fn target_folder(workspace: &Workspace) -> PathBuf {
-    std::env::var_os("CARGO_TARGET_DIR")
-        .map_or_else(|| workspace.root().join("target"), PathBuf::from)
-}
-
-fn succeed(command: &mut Command) -> Result<(), String> {
-    println!("+ {command:?}");
-    let status = command.status().map_err(|e| format!("{command:?}: {e}"))?;
-    if status.success() { Ok(()) } else { Err(format!("{command:?} failed: {status}")) }
 }
 
 #[cfg(test)]

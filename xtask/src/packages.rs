@@ -4,7 +4,6 @@ use crate::workspace::Workspace;
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 /// A package: one of the workspace, or a dependency.
 #[derive(Clone, Debug, Deserialize)]
@@ -90,8 +89,7 @@ impl Packages {
         manifest: &str,
         target: Option<&str>,
     ) -> Result<Self, String> {
-        let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-        let mut command = Command::new(cargo);
+        let mut command = workspace.cargo();
         command.args([
             "metadata",
             "--format-version",
@@ -101,8 +99,7 @@ impl Packages {
             manifest,
         ]);
         command.args(target.map(|target| format!("--filter-platform={target}")));
-        let output = command.current_dir(workspace.root()).output();
-        let output = output.map_err(|e| format!("cargo metadata: {e}"))?;
+        let output = command.output().map_err(|e| format!("cargo metadata: {e}"))?;
         if !output.status.success() {
             let said = String::from_utf8_lossy(&output.stderr).into_owned();
             return Err(format!("cargo metadata of {manifest}: {said}"));

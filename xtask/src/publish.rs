@@ -2,7 +2,6 @@
 
 use crate::packages::{Package, Packages};
 use crate::workspace::Workspace;
-use std::process::Command;
 
 /// Checks the manifests of all crates that are published, and packs each without compiling it.
 pub fn check(workspace: &Workspace) -> Result<(), String> {
@@ -14,12 +13,10 @@ pub fn check(workspace: &Workspace) -> Result<(), String> {
     if !faults.is_empty() {
         return Err(format!("{}\npublish: {} to mend", faults.join("\n"), faults.len()));
     }
-    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    let mut package = Command::new(cargo);
+    let mut package = workspace.cargo();
     package.args(["package", "--quiet", "--no-verify", "--allow-dirty", "--locked"]);
     package.args(published.iter().flat_map(|package| ["--package", &package.name]));
-    let status = package.current_dir(workspace.root()).status();
-    let status = status.map_err(|e| format!("cargo package: {e}"))?;
+    let status = package.status().map_err(|e| format!("cargo package: {e}"))?;
     if !status.success() {
         return Err(format!("cargo package failed: {status}"));
     }

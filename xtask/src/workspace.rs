@@ -23,6 +23,31 @@ impl Workspace {
         &self.root
     }
 
+    /// Cargo, run in the folder of the workspace.
+    pub fn cargo(&self) -> Command {
+        let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+        let mut command = Command::new(cargo);
+        command.current_dir(&self.root);
+        command
+    }
+
+    /// Where Cargo puts what it makes.
+    pub fn target(&self) -> PathBuf {
+        std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| self.root.join("target"), PathBuf::from)
+    }
+
+    /// The program `pbgi`, to be built by [`Self::build_program`].
+    pub fn program(&self) -> PathBuf {
+        self.target().join("release").join("pbgi")
+    }
+
+    /// The command that builds [`Self::program`].
+    pub fn build_program(&self) -> Command {
+        let mut build = self.cargo();
+        build.args(["build", "--release", "--package", "pbgi-cli", "--bin", "pbgi"]);
+        build
+    }
+
     /// Text of a file, given relative to the root.
     pub fn read(&self, path: &str) -> Result<String, String> {
         std::fs::read_to_string(self.root.join(path)).map_err(|e| format!("{path}: {e}"))
@@ -71,4 +96,16 @@ impl Workspace {
         let inside = |path: &&str| path.starts_with(folder) && path.ends_with(".rs");
         files.iter().map(String::as_str).filter(inside).collect()
     }
+}
+
+/// Runs a command, which must succeed.
+pub fn succeed(command: &mut Command) -> Result<(), String> {
+    let status = command.status().map_err(|e| format!("{command:?}: {e}"))?;
+    if status.success() { Ok(()) } else { Err(format!("{command:?} failed: {status}")) }
+}
+
+/// The same for a command that is shown before.
+pub fn succeed_shown(command: &mut Command) -> Result<(), String> {
+    println!("+ {command:?}");
+    succeed(command)
 }

@@ -1,7 +1,7 @@
 //! A folder to run programs in, and the library that makes their calls fail.
 
 use super::scenario::{INPUTS, PREPARATION, Scenario};
-use crate::workspace::Workspace;
+use crate::workspace::{Workspace, succeed};
 use std::fmt;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -51,13 +51,8 @@ impl Bench {
     /// Builds what is needed and makes the inputs.
     pub fn new(workspace: &Workspace) -> Result<Self, String> {
         let root = workspace.root();
-        let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-        let mut build = Command::new(cargo);
-        build.args(["build", "--release", "--package", "pbgi-cli", "--bin", "pbgi"]);
-        succeed(build.current_dir(root))?;
-        let target =
-            std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), Into::into);
-        let out = target.join("faults");
+        succeed(&mut workspace.build_program())?;
+        let out = workspace.target().join("faults");
         // What another run has left.
         let _ = fs::remove_dir_all(&out);
         let folder = out.join("work");
@@ -66,7 +61,7 @@ impl Bench {
         let mut cc = Command::new(std::env::var_os("CC").unwrap_or_else(|| "cc".into()));
         cc.args(["-shared", "-fPIC", "-O1", "-Wall", "-o"]).arg(&shim).arg(root.join(SHIM));
         succeed(cc.arg("-ldl"))?;
-        let bench = Self { folder, program: target.join("release").join("pbgi"), shim };
+        let bench = Self { folder, program: workspace.program(), shim };
         for args in PREPARATION {
             let run = bench.finish(bench.command(args).spawn(), args)?;
             if run.code != Some(0) {
@@ -191,9 +186,4 @@ impl Drop for Bench {
             let _ = fs::remove_dir_all(folder);
         }
     }
-}
-
-fn succeed(command: &mut Command) -> Result<(), String> {
-    let status = command.status().map_err(|e| format!("{command:?}: {e}"))?;
-    if status.success() { Ok(()) } else { Err(format!("{command:?} failed: {status}")) }
 }
