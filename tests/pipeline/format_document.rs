@@ -16,7 +16,7 @@ const BEGIN: &str = "<!-- dump: begin -->\n```text\n";
 const END: &str = "```\n<!-- dump: end -->\n";
 
 fn golden_path() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("golden/v4-five-surfels.pbgi")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("golden/v5-five-surfels.pbgi")
 }
 
 fn document_path() -> PathBuf {
@@ -469,7 +469,10 @@ impl<'a> Dump<'a> {
             });
             self.mini_float(96, "  size", "blocks back");
             self.show(1, |b| format!("  width {}/255", b[0]));
-            self.show(1, |b| format!("  fill {}/255", b[0]));
+            self.show(1, |b| {
+                let kind = if b[0] & 0x80 == 0 { "a surface" } else { "loose" };
+                format!("  fill {}/127, {kind}", b[0] & 0x7f)
+            });
             if self.is_rgb() {
                 self.shared_exponent("  radiance", self.radiance_scale());
             }

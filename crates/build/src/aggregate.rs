@@ -54,7 +54,8 @@ impl NodeAggregate {
         reducer.clear();
         let mut shape = Shape::of(&surfels[0]);
         let mut place: Option<(usize, &Surfel)> = None;
-        for surfel in surfels {
+        reducer.find_loose(surfels);
+        for (number, surfel) in surfels.iter().enumerate() {
             if (surfel.orientation, surfel.flags) != shape.key {
                 shape = Shape::of(surfel);
             }
@@ -66,7 +67,10 @@ impl NodeAggregate {
             for (sum, l) in node.flux.iter_mut().zip(surfel.radiance) {
                 *sum += area * f64::from(l);
             }
-            let lobe = LobeSum::from_surfel(surfel, shape.normal);
+            let mut lobe = LobeSum::from_surfel(surfel, shape.normal);
+            if reducer.loose[number] {
+                lobe.loose = lobe.area;
+            }
             match place {
                 Some((place, before)) if is_alike(before, surfel) => reducer.add_to(place, &lobe),
                 _ => place = Some((reducer.add(&lobe, lobe_total), surfel)),
@@ -103,7 +107,11 @@ impl NodeAggregate {
         for (lobe, sum) in self.lobes.iter_mut().zip(sums) {
             let Some((_, sum)) = sum else { continue };
             let least = if lobe.blocks_back { SOLID_CELL } else { SHEET_CELL };
+            let at_random = sum.covered_at_random();
             (lobe.stencil, lobe.stencil_area) = finish(sum, least);
+            if lobe.is_loose() {
+                lobe.stencil_area = at_random;
+            }
         }
     }
 

@@ -8,6 +8,7 @@ mod aggregate;
 mod error;
 mod items;
 mod lobe_sum;
+mod loose;
 mod octree;
 mod pack;
 mod pages;

@@ -19,11 +19,13 @@ pub struct LobeSum {
     pub blocks_back: bool,
     /// Area that sheets cover, seen along `vector`: what lies behind other parts of the lobe does not count. `area` where backs block.
     pub covered: f64,
+    /// Area of the surfels that are no part of a surface, counted as in `area`.
+    pub loose: f64,
     /// Where sheets are; empty where backs block.
     pub bounds: Aabb,
     /// Where in the node's box the surfels lie, once that box is known.
     pub stencil: Stencil,
-    /// Cells that they cover, seen along the stencil's axis: Σ of the covered shares.
+    /// Cells that they cover, seen along the stencil's axis: Σ of the covered shares; of loose ones, of those that they cover at random.
     pub stencil_area: f32,
 }
 
@@ -52,6 +54,7 @@ impl LobeSum {
             flux: surfel.radiance.map(|c| f64::from(c) * area),
             blocks_back,
             covered: area,
+            loose: 0.0,
             bounds: if blocks_back {
                 Aabb::EMPTY
             } else {
@@ -71,6 +74,7 @@ impl LobeSum {
         self.covered += other.covered;
         self.vector += other.vector;
         self.area += other.area;
+        self.loose += other.loose;
         self.moment += other.moment;
         for (sum, part) in self.flux.iter_mut().zip(other.flux) {
             *sum += part;
@@ -104,6 +108,11 @@ impl LobeSum {
         let (own_part, other_part) =
             ((self.covered / own).min(1.0), (other.covered / others).min(1.0));
         own_part * other_part * both
+    }
+
+    /// Whether most of it is no surface, but surfels that lie anywhere.
+    pub(crate) fn is_loose(&self) -> bool {
+        self.loose > 0.5 * self.area
     }
 
     /// Axis along which its stencil is looked at, which is that of the direction as it is stored.
@@ -142,6 +151,10 @@ impl LobeSum {
             let is_board = length >= self.area * (1.0 - PARALLEL);
             let covered = if is_board { length } else { length * (self.covered / self.area) };
             fill = (covered / section.max(f64::MIN_POSITIVE)).min(1.0);
+            if self.is_loose() {
+                let cells = self.stencil.0.count_ones().max(1);
+                fill = (f64::from(self.stencil_area) / f64::from(cells)).min(1.0);
+            }
         }
         Lobe {
             vector: self.vector.as_vec3(),
@@ -150,6 +163,7 @@ impl LobeSum {
             radiance: self.radiance(),
             height: height as f32,
             fill: fill as f32,
+            is_loose: self.is_loose(),
             stencil: self.stencil,
         }
     }

@@ -1,6 +1,8 @@
 //! Which lobes a node keeps: like ones are summed, the most alike first.
 
 use crate::lobe_sum::LobeSum;
+use crate::loose::LooseFinder;
+use pbgi_cloud::Surfel;
 use pbgi_format::LOBES_MAX;
 use pbgi_math::luminance;
 use std::ops::Deref;
@@ -88,9 +90,17 @@ pub(crate) struct LobeReducer {
     stale: Option<usize>,
     /// For each lobe that was added, the candidate it is part of.
     pub owners: Vec<u32>,
+    finder: LooseFinder,
+    /// For each surfel of the leaf, whether it is loose.
+    pub loose: Vec<bool>,
 }
 
 impl LobeReducer {
+    /// Finds out which surfels of a leaf are loose.
+    pub fn find_loose(&mut self, surfels: &[Surfel]) {
+        self.finder.find(surfels, &mut self.loose);
+    }
+
     /// Forgets the lobes of the node before.
     pub fn clear(&mut self) {
         self.candidates.clear();

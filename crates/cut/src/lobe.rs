@@ -18,6 +18,9 @@ pub(crate) struct KnownLobe {
     /// Variances of the points it stands for along the axes, and their sum in its plane.
     pub variance: Vec3,
     pub spread2: f32,
+    /// Of a flat loose one, the area of its outline in its plane, and its optical depth along its normal over the area that it shows so.
+    pub outline: f32,
+    pub depth_per_area: f32,
     /// Share of its area that a flat sheet covers: leaves above each other cover less than they have.
     pub covered: f32,
 }
@@ -28,6 +31,9 @@ const SOLID_FLAT_WIDTH: f32 = 0.7;
 
 /// The same for sheets, whose parts lie in no plane where their normals differ: leaves. 0.05 and 0.25 change errors by a tenth of themselves.
 const SHEET_FLAT_WIDTH: f32 = 0.1;
+
+/// Largest fill of loose surfels, whose optical depth is finite: the middle of the last step of a fill.
+const LOOSE_FILL_MAX: f32 = 1.0 - 0.5 / 127.0;
 
 /// Fill from which on a sheet is one layer: with less, its parts lie above each other.
 const SHEET_WHOLE: f32 = 0.95;
@@ -97,7 +103,8 @@ impl KnownLobe {
     pub fn new(lobe: &Lobe, bounds: &Aabb) -> Self {
         let half = thick_half(bounds.min, bounds.max);
         let length = lobe.vector.length();
-        let flat_width = if lobe.blocks_back { SOLID_FLAT_WIDTH } else { SHEET_FLAT_WIDTH };
+        let is_solid = lobe.blocks_back && !lobe.is_loose;
+        let flat_width = if is_solid { SOLID_FLAT_WIDTH } else { SHEET_FLAT_WIDTH };
         let is_flat = lobe.width <= flat_width * (length + lobe.width);
         let mut known = Self {
             lobe: *lobe,
@@ -118,7 +125,13 @@ impl KnownLobe {
         // Points spread evenly over the box's section with the plane: those over the box, laid into it.
         known.variance = half * half * (share * (1.0 / 3.0));
         known.spread2 = known.variance.dot(Vec3::ONE - normal * normal);
-        if !lobe.blocks_back && lobe.fill < SHEET_WHOLE {
+        if lobe.is_loose {
+            let (axis, edges) = (usize::from(known.axis), half * 2.0);
+            let face = edges[(axis + 1) % 3] * edges[(axis + 2) % 3];
+            known.outline = face * lobe.stencil.share() / normal[axis].abs();
+            let shown = lobe.front_area(normal) + lobe.back_area(normal);
+            known.depth_per_area = -(1.0 - lobe.fill.min(LOOSE_FILL_MAX)).ln() / shown;
+        } else if !lobe.blocks_back && lobe.fill < SHEET_WHOLE {
             known.covered = (share * central_section_area(half, normal) / length).min(1.0);
         }
         known

@@ -9,8 +9,14 @@ pub const LOBES_MAX: usize = 4;
 /// Largest code of `h/(|V| + h)` of a plane: normals of a few degrees' scatter.
 const PLANE_WIDTH_CODE: u8 = 3;
 
-/// Least code of the fill of a lobe that fills its section, 0.95.
-const FILLED_CODE: u8 = 242;
+/// Least code of the fill of a lobe of a surface that fills its section, 0.95.
+const FILLED_CODE: u8 = 121;
+
+/// Bit of the fill's byte: the surfels are loose.
+const LOOSE_BIT: u8 = 0x80;
+
+/// Steps of a fill.
+const FILL_STEPS: f32 = 127.0;
 
 /// Surfels of similar normals and radiance, summed.
 ///
@@ -36,8 +42,11 @@ pub struct Lobe {
     /// Where the surfels' plane lies: height of their centroid along `vector` over the center of the node's stored box, as
     /// a share of how far the box reaches in that direction, −1..=1.
     pub height: f32,
-    /// Area of the surfels, seen along `vector`, over that of what the stencil leaves of the section of the box by that plane, 0..=1.
+    /// Area of the surfels, seen along `vector`, over that of what the stencil leaves of the section of the box by that plane, 0..=1. Of
+    /// loose ones, the share of it that they cover.
     pub fill: f32,
+    /// Whether the surfels make no surface: they lie anywhere, and hide each other at random.
+    pub is_loose: bool,
     /// Where in the node's stored box the surfels lie, seen along the largest axis of the decoded vector ([`pbgi_math::stencil_axis`]).
     pub stencil: Stencil,
 }
@@ -62,7 +71,7 @@ impl Lobe {
     #[must_use]
     #[inline(always)]
     pub fn is_filled_plane(stored: &[u8]) -> bool {
-        stored[6] <= PLANE_WIDTH_CODE && stored[7] >= FILLED_CODE
+        stored[6] <= PLANE_WIDTH_CODE && (FILLED_CODE..LOOSE_BIT).contains(&stored[7])
     }
 
     /// Radiance of the brightest channel of a stored lobe of three channels, divided by the file's radiance scale.
@@ -94,13 +103,15 @@ impl Lobe {
         let length = self.vector.length();
         let normal = if length > 0.0 { self.vector / length } else { Vec3::Z };
         let size = length + self.width;
-        let share = |x: f32| (x.clamp(0.0, 1.0) * 255.0).round() as u8;
         let height = (self.height.clamp(-1.0, 1.0) * 127.0).round() as i8;
         let direction = encode_octahedral24(normal).to_le_bytes();
         out.extend_from_slice(&[direction[0], direction[1], direction[2], height as u8]);
         let flag = u16::from(self.blocks_back) << 15;
         out.extend_from_slice(&(area.encode(size) | flag).to_le_bytes());
-        out.extend_from_slice(&[share(self.width / size.max(f32::MIN_POSITIVE)), share(self.fill)]);
+        let fill = (self.fill.clamp(0.0, 1.0) * FILL_STEPS).round() as u8;
+        let loose = if self.is_loose { LOOSE_BIT } else { 0 };
+        let width = (self.width / size.max(f32::MIN_POSITIVE)).clamp(0.0, 1.0);
+        out.extend_from_slice(&[(width * 255.0).round() as u8, fill | loose]);
         if channels == Channels::Rgb {
             let stored = SharedExponent::from_rgb(self.radiance.map(|c| c / radiance_scale));
             out.extend_from_slice(&stored.0.to_le_bytes());
@@ -132,7 +143,8 @@ impl Lobe {
                 }
             },
             height: (f32::from((place >> 24) as u8 as i8) * (1.0 / 127.0)).max(-1.0),
-            fill: f32::from(bytes[7]) * (1.0 / 255.0),
+            fill: f32::from(bytes[7] & !LOOSE_BIT) * (1.0 / FILL_STEPS),
+            is_loose: bytes[7] & LOOSE_BIT != 0,
             stencil: Stencil::FULL,
         }
     }
@@ -154,6 +166,19 @@ mod tests {
     }
 
     #[test]
+    fn loose_surfels_are_no_filled_plane() {
+        let area = MiniFloat::covering(2.0);
+        for (fill, is_loose, is_plane) in
+            [(1.0, false, true), (0.955, false, true), (0.94, false, false), (1.0, true, false)]
+        {
+            let lobe = Lobe { vector: Vec3::Z, fill, is_loose, ..Lobe::default() };
+            let mut bytes = Vec::new();
+            lobe.write(Channels::Occlusion, area, 1.0, &mut bytes);
+            assert_eq!(Lobe::is_filled_plane(&bytes), is_plane, "{fill} {is_loose}");
+        }
+    }
+
+    #[test]
     fn stored_lobes_come_back() {
         let lobe = Lobe {
             vector: Vec3::new(0.3, -0.2, 0.9) * 0.04,
@@ -162,6 +187,7 @@ mod tests {
             radiance: [10.0, 5.0, 1.0],
             height: -0.7,
             fill: 0.6,
+            is_loose: true,
             stencil: Stencil::FULL,
         };
         let area = MiniFloat::covering(2.0);
@@ -173,8 +199,8 @@ mod tests {
             assert!((back.vector - lobe.vector).length() < 0.05 * 4e-3);
             assert!((back.width - lobe.width).abs() < 0.05 * 2.1e-3);
             assert!((back.height - lobe.height).abs() < 4.1e-3);
-            assert!((back.fill - lobe.fill).abs() < 2.1e-3);
-            assert!(back.blocks_back);
+            assert!((back.fill - lobe.fill).abs() < 4.1e-3);
+            assert!(back.blocks_back && back.is_loose);
             if channels == Channels::Rgb {
                 assert!((back.radiance[0] / 10.0 - 1.0).abs() < 2e-3);
             }

@@ -206,7 +206,7 @@ pub(crate) fn piece_ink(cluster: &Cluster, piece: &Piece, veil: Veil) -> Ink {
 /// Where a piece of a cluster lies, and which share of it is there.
 #[inline(always)]
 pub(crate) fn piece_shape(cluster: &Cluster, piece: &Piece) -> (Section, Veil) {
-    let &Piece { inverse, stencil, axis, .. } = piece;
+    let &Piece { inverse, stencil, axis, seed, .. } = piece;
     let section = Section { inverse, low: cluster.low, high: cluster.high, stencil, axis };
-    (section, Veil { start: piece.start, end: piece.end, seed: cluster.seed })
+    (section, Veil { start: piece.start, end: piece.end, seed })
 }

@@ -127,6 +127,8 @@ pub struct StencilSum {
     cells: Cells,
     /// Covered share of each cell.
     covered: [[f32; STENCIL_EDGE]; STENCIL_EDGE],
+    /// What is open of each cell if the things that were added lie in it at random.
+    open: [[f32; STENCIL_EDGE]; STENCIL_EDGE],
 }
 
 /// Least extent of a stencil, as a share of its box's largest edge.
@@ -137,7 +139,8 @@ impl StencilSum {
     #[must_use]
     pub fn new(bounds: &Aabb, axis: usize) -> Self {
         let covered = [[0.0; STENCIL_EDGE]; STENCIL_EDGE];
-        Self { axis, cells: Cells::new(bounds, axis), covered }
+        let open = [[1.0; STENCIL_EDGE]; STENCIL_EDGE];
+        Self { axis, cells: Cells::new(bounds, axis), covered, open }
     }
 
     /// Adds something of this area, seen along the axis, that is spread evenly over a box.
@@ -155,10 +158,12 @@ impl StencilSum {
         let [per_a, per_b] = self.cells.scale;
         let cells = (a1 - a0) * per_a * ((b1 - b0) * per_b);
         let share = area * per_a * per_b / cells;
-        for (row, covered) in rows.into_iter().zip(&mut self.covered) {
+        for ((row, covered), open) in rows.into_iter().zip(&mut self.covered).zip(&mut self.open) {
             if row > 0.0 {
-                for (covered, column) in covered.iter_mut().zip(columns) {
-                    *covered += share * row * column;
+                for ((covered, open), column) in covered.iter_mut().zip(open).zip(columns) {
+                    let part = share * row * column;
+                    *covered += part;
+                    *open *= 1.0 - part.min(1.0);
                 }
             }
         }
@@ -173,6 +178,7 @@ impl StencilSum {
                 std::array::from_fn(|k| self.cells.shares(i, edges(i, k), edges(i, k + 1)))
             };
             let (columns, rows) = (spread(0), spread(1));
+            let before = self.covered;
             for (row, weights) in rows.iter().enumerate() {
                 let bits = stencil.0 >> (8 * row) & 0xff;
                 if bits == 0 {
@@ -194,12 +200,24 @@ impl StencilSum {
                     }
                 }
             }
+            let (open, covered) = (self.open.iter_mut(), self.covered.iter());
+            for ((open, covered), before) in
+                open.flatten().zip(covered.flatten()).zip(before.iter().flatten())
+            {
+                *open *= 1.0 - (covered - before).min(1.0);
+            }
             return;
         }
         // Seen along another axis, all that is known of a cell is where it lies in the box.
         let (a, b) = ((axis + 1) % 3, (axis + 2) % 3);
         let area = share * stencil.share() * bounds.extent()[a] * bounds.extent()[b];
         self.add(bounds, area);
+    }
+
+    /// Cells that are covered in sum if the things that were added lie at random in them.
+    #[must_use]
+    pub fn covered_at_random(&self) -> f32 {
+        self.open.iter().flatten().map(|open| 1.0 - open).sum()
     }
 
     /// The same as [`Self::finish`] for squares of four cells, so that the stencil is narrow.
@@ -291,6 +309,21 @@ mod tests {
             assert!((covered - 4.0).abs() < 1e-4, "{covered}");
             assert_eq!(sum.finish_narrow(0.5).0.to_narrow(), Some(0x1100));
         }
+    }
+
+    #[test]
+    fn what_lies_at_random_multiplies_what_it_leaves_open() {
+        let mut sum = StencilSum::new(&UNIT, 2);
+        // A third of all cells, a half of the left ones again; and all cells of a half by a stencil, each to a quarter.
+        sum.add(&UNIT, 1.0 / 3.0);
+        let left = Aabb { min: Vec3::ZERO, max: Vec3::new(0.5, 1.0, 1.0) };
+        sum.add(&left, 0.25);
+        let expected = 32.0 * (1.0 - 2.0 / 3.0 * 0.5) + 32.0 / 3.0;
+        assert!((sum.covered_at_random() - expected).abs() < 1e-3);
+        sum.add_stencil(Stencil::FULL, 2, &left, 0.25);
+        let expected = 32.0 * (1.0 - 2.0 / 3.0 * 0.5 * 0.75) + 32.0 / 3.0;
+        assert!((sum.covered_at_random() - expected).abs() < 1e-3);
+        assert!((sum.finish(0.5).1 - 32.0 * (1.0 + 1.0 / 3.0)).abs() < 1e-3);
     }
 
     #[test]

@@ -1,0 +1,138 @@
+//! Which surfels of a leaf make no surface.
+
+use pbgi_cloud::Surfel;
+use pbgi_math::Vec3;
+
+/// Surfels in whose plane fewer neighbors than this go on are loose. On a square lattice one at a corner of its leaf has three, one of a row has
+/// two, and of a crowd of a million disks of optical depth 3 one in fifty has any.
+const NEIGHBORS: usize = 2;
+
+/// Distance up to which a surfel is a neighbor, over the sum of both covering radii. The nearest of a square lattice whose disks have the area of its
+/// cells are 0.89 of it apart; of dicing, whose disks reach to the corners of theirs, those at a corner 1 and those behind the next one 1.4.
+const REACH: f32 = 1.1;
+
+/// Least cosine between the normals of neighbors: 60°, which is more than a coarse curve turns from surfel to surfel.
+const COSINE: f32 = 0.5;
+
+/// Largest height of a neighbor over a surfel's plane, as a share of that distance: by as much a surface bends, or is noise in a scan.
+const HEIGHT: f32 = 0.5;
+
+/// What is asked of a surfel again and again.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    center: Vec3,
+    normal: Vec3,
+    radius: f32,
+    neighbors: usize,
+}
+
+/// Finds the loose surfels of a leaf, in memory that is used again for the next one.
+#[derive(Debug, Default)]
+pub(crate) struct LooseFinder {
+    places: Vec<Place>,
+}
+
+impl LooseFinder {
+    /// Tells of each surfel whether it is loose: a particle, or one with too few neighbors in its plane. Of a leaf of few surfels all others suffice,
+    /// as the rest of their surface lies in other leaves.
+    pub fn find(&mut self, surfels: &[Surfel], loose: &mut Vec<bool>) {
+        self.places.clear();
+        self.places.extend(surfels.iter().map(|surfel| Place {
+            center: surfel.center(),
+            normal: surfel.normal(),
+            radius: surfel.radius,
+            neighbors: 0,
+        }));
+        let mut rest = &mut self.places[..];
+        while let Some((own, others)) = rest.split_first_mut() {
+            for other in others.iter_mut() {
+                if are_neighbors(own, other) {
+                    own.neighbors += 1;
+                    other.neighbors += 1;
+                }
+            }
+            rest = others;
+        }
+        let wanted = NEIGHBORS.min(surfels.len().saturating_sub(1));
+        let is_loose =
+            |(surfel, place): (&Surfel, &Place)| surfel.is_isotropic() || place.neighbors < wanted;
+        loose.clear();
+        loose.extend(surfels.iter().zip(&self.places).map(is_loose));
+    }
+}
+
+/// Whether one surfel goes on the other's surface.
+#[inline]
+fn are_neighbors(own: &Place, other: &Place) -> bool {
+    let apart = other.center - own.center;
+    let reach = REACH * (own.radius + other.radius);
+    apart.length_squared() <= reach * reach
+        && own.normal.dot(other.normal) >= COSINE
+        && own.normal.dot(apart).abs() <= HEIGHT * reach
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pbgi_cloud::SurfelFlags;
+
+    fn count_loose(surfels: &[Surfel]) -> usize {
+        let mut loose = Vec::new();
+        LooseFinder::default().find(surfels, &mut loose);
+        assert_eq!(loose.len(), surfels.len());
+        loose.into_iter().filter(|loose| *loose).count()
+    }
+
+    /// Disks of a sheet, each of the area of its cell.
+    fn sheet(columns: usize, rows: usize, bend: f32) -> Vec<Surfel> {
+        let at = |k: usize| (k % columns, k / columns);
+        let disk = |(i, j): (usize, usize)| {
+            let (sin, cos) = (bend * i as f32).sin_cos();
+            let place = match bend {
+                0.0 => Vec3::new(i as f32, 0.0, j as f32),
+                _ => Vec3::new(sin / bend, cos / bend, j as f32),
+            };
+            Surfel::new(place, Vec3::new(sin, cos, 0.0), 0.5642, 1.0)
+        };
+        (0..columns * rows).map(at).map(disk).collect()
+    }
+
+    #[test]
+    fn surfaces_are_not_loose_wherever_their_leaf_ends() {
+        for (columns, rows) in [(5, 5), (2, 2), (1, 1), (2, 1), (16, 2)] {
+            for bend in [0.0, 0.3, 0.8] {
+                assert_eq!(
+                    count_loose(&sheet(columns, rows, bend)),
+                    0,
+                    "{columns} × {rows}, {bend}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn disks_anywhere_are_loose() {
+        // Of every other cell, and of sheets far above each other.
+        let sparse: Vec<Surfel> = sheet(8, 8, 0.0).into_iter().step_by(2).collect();
+        assert_eq!(count_loose(&sparse[..12]), 12);
+        let mut above = sheet(4, 1, 0.0);
+        for (k, surfel) in above.iter_mut().enumerate() {
+            surfel.position[1] = 3.0 * k as f32;
+        }
+        assert_eq!(count_loose(&above), 4);
+        // Turned away from each other.
+        let mut turned = sheet(3, 1, 0.0);
+        turned[1] = Surfel::new(turned[1].center(), Vec3::X, 0.5642, 1.0);
+        assert_eq!(count_loose(&turned), 3);
+    }
+
+    #[test]
+    fn particles_are_loose() {
+        let smoke: Vec<Surfel> = sheet(4, 4, 0.0)
+            .into_iter()
+            .map(|surfel| surfel.with_flags(SurfelFlags::ISOTROPIC))
+            .collect();
+        assert_eq!(count_loose(&smoke), 16);
+        assert_eq!(count_loose(&smoke[..1]), 1);
+    }
+}
