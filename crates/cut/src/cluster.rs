@@ -52,8 +52,8 @@ const SOLID_CLOSED: f32 = 0.3;
 /// has an error of 3.9, 3.9 and 4.5 %.
 const SHEET_CLOSED: f32 = 0.8;
 
-/// Where the number of a loose lobe is put into its node's seed.
-const LOOSE_SEED_SHIFT: u32 = 29;
+/// What the number of a loose lobe is scrambled by for the seed of its veil, so that no other node of the group has the same: the golden ratio of 2³².
+const LOOSE_SEED: u32 = 0x9e37_79b9;
 
 /// A lobe as the receiver sees it.
 #[derive(Clone, Copy, Default)]
@@ -141,7 +141,7 @@ impl Cluster {
             let closed = if seen.is_sheet { SHEET_CLOSED } else { SOLID_CLOSED };
             if seen.is_loose {
                 piece.end = seen.opacity;
-                piece.seed ^= (seen.lobe as u32 + 1) << LOOSE_SEED_SHIFT;
+                piece.seed ^= (seen.lobe as u32 + 1).wrapping_mul(LOOSE_SEED);
             } else if seen.is_flat {
                 piece.end = if seen.opacity >= closed { 1.0 } else { seen.opacity };
             } else if seen.is_front {
