@@ -426,7 +426,7 @@ mod tests {
         for (fill, end) in [(0.95, 1.0), (0.6, 1.0), (0.2, 0.2)] {
             let cluster = see(receiver, &[Vec3::Y], fill, 0.0);
             let [piece] = cluster.pieces() else { panic!("one piece") };
-            assert!(piece.start == 0.0 && (piece.end - end).abs() < 3e-3, "{fill}: {piece:?}");
+            assert!(piece.start == 0.0 && (piece.end - end).abs() < 4e-3, "{fill}: {piece:?}");
             assert_eq!((piece.stencil, piece.axis), (CORNER, 1));
         }
         // What is round lies anywhere in the box.
