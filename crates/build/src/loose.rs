@@ -3,18 +3,17 @@
 use pbgi_cloud::Surfel;
 use pbgi_math::Vec3;
 
-/// Surfels in whose plane fewer neighbors than this go on are loose. On a square lattice one at a corner of its leaf has three, one of a row has
-/// two, and of a crowd of a million disks of optical depth 3 one in fifty has any.
-const NEIGHBORS: usize = 2;
+/// Surfels with fewer neighbors than this are loose. The last of a row has one; of a crowd of a million disks of optical depth 3 one in twenty has any.
+const NEIGHBORS: usize = 1;
 
 /// Distance up to which a surfel is a neighbor, over the sum of both covering radii. The nearest of a square lattice whose disks have the area of its
 /// cells are 0.89 of it apart; of dicing, whose disks reach to the corners of theirs, those at a corner 1 and those behind the next one 1.4.
 const REACH: f32 = 1.1;
 
-/// Least cosine between the normals of neighbors: 60°, which is more than a coarse curve turns from surfel to surfel.
-const COSINE: f32 = 0.5;
+/// Least cosine between the normals of neighbors: those of a box meet at right angles, if not to the last digit.
+const COSINE: f32 = -0.1;
 
-/// Largest height of a neighbor over a surfel's plane, as a share of that distance: by as much a surface bends, or is noise in a scan.
+/// Largest height of each of two neighbors over the other's plane, as a share of that distance: as much as those at an edge of a box have.
 const HEIGHT: f32 = 0.5;
 
 /// What is asked of a surfel again and again.
@@ -33,7 +32,7 @@ pub(crate) struct LooseFinder {
 }
 
 impl LooseFinder {
-    /// Tells of each surfel whether it is loose: a particle, or one with too few neighbors in its plane. Of a leaf of few surfels all others suffice,
+    /// Tells of each surfel whether it is loose: a particle, or one with too few neighbors. Of a leaf of few surfels all others suffice,
     /// as the rest of their surface lies in other leaves.
     pub fn find(&mut self, surfels: &[Surfel], loose: &mut Vec<bool>) {
         self.places.clear();
@@ -69,6 +68,7 @@ fn are_neighbors(own: &Place, other: &Place) -> bool {
     apart.length_squared() <= reach * reach
         && own.normal.dot(other.normal) >= COSINE
         && own.normal.dot(apart).abs() <= HEIGHT * reach
+        && other.normal.dot(apart).abs() <= HEIGHT * reach
 }
 
 #[cfg(test)]
@@ -108,6 +108,18 @@ mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn surfaces_are_not_loose_at_the_edges_of_a_box() {
+        let box_of_six: Vec<Surfel> = Vec3::AXES
+            .into_iter()
+            .flat_map(|axis| [axis, -axis])
+            .map(|normal| Surfel::new(normal * 0.5, normal, 0.5642, 1.0))
+            .collect();
+        assert_eq!(count_loose(&box_of_six), 0);
+        // A card of two sides is no surface that goes on.
+        assert_eq!(count_loose(&box_of_six[..2]), 2);
     }
 
     #[test]

@@ -16,10 +16,7 @@ pub(super) const CASES: [HardCase; 6] = [
         about: "a million random disks all around, of optical depth 0.1; openness, e^−0.1, relative",
         promise: 0.03,
         why: CROWD,
-        limit: Some(KnownLimit {
-            today: 0.052,
-            because: "a cluster hides more than what is in it: it knows the outlines of its surfels in cells, and not how they overlap in depth",
-        }),
+        limit: None,
         measure: |engine| crowd(engine, 0.1, None),
     },
     HardCase {
@@ -27,10 +24,7 @@ pub(super) const CASES: [HardCase; 6] = [
         about: "`sparse-0.1` of optical depth 1",
         promise: 0.03,
         why: CROWD,
-        limit: Some(KnownLimit {
-            today: 0.58,
-            because: "a cluster hides more than what is in it: it knows the outlines of its surfels in cells, and not how they overlap in depth",
-        }),
+        limit: None,
         measure: |engine| crowd(engine, 1.0, None),
     },
     HardCase {
@@ -49,10 +43,7 @@ pub(super) const CASES: [HardCase; 6] = [
         about: "`sparse-1` with nodes of 0.003 sr",
         promise: 0.03,
         why: CROWD,
-        limit: Some(KnownLimit {
-            today: 0.072,
-            because: "as sparse-1, and disks without a known outline are drawn larger than they are, so that surfaces close",
-        }),
+        limit: None,
         measure: |engine| crowd(engine, 1.0, Some(0.003)),
     },
     HardCase {
@@ -71,7 +62,7 @@ pub(super) const CASES: [HardCase; 6] = [
         about: "a million particles without normals, of optical depth 1; openness, e^−1, relative",
         promise: 0.03,
         why: CROWD,
-        limit: Some(KnownLimit { today: 0.031, because: "the same of particles" }),
+        limit: None,
         measure: smoke,
     },
 ];
