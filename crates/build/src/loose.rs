@@ -3,17 +3,20 @@
 use pbgi_cloud::Surfel;
 use pbgi_math::Vec3;
 
-/// Surfels with fewer neighbors than this are loose. The last of a row has one; of a crowd of a million disks of optical depth 3 one in twenty has any.
+/// Surfels with fewer neighbors than this are loose. The last of a row has one. That makes 2.5 and 5 % of the surfels of the street and the foliage
+/// loose, and 99 and 94 % of a crowd of a million disks of optical depth 1 and 3. With twice as many it would be 11 and 15, 100 and 100 %.
 const NEIGHBORS: usize = 1;
 
 /// Distance up to which a surfel is a neighbor, over the sum of both covering radii. The nearest of a square lattice whose disks have the area of its
-/// cells are 0.89 of it apart; of dicing, whose disks reach to the corners of theirs, those at a corner 1 and those behind the next one 1.4.
+/// cells are 0.89 of it apart; of dicing, whose disks reach to the corners of theirs, those at a corner 1 and those behind the next one 1.4. Half of
+/// it: 28 and 18, 100 and 99 %; twice: 1 and 3, 92 and 70 %.
 const REACH: f32 = 1.1;
 
-/// Least cosine between the normals of neighbors: those of a box meet at right angles, if not to the last digit.
+/// Least cosine between the normals of neighbors: those of a box meet at right angles, if not to the last digit. 60°: 7 and 8, 99 and 97 %.
 const COSINE: f32 = -0.1;
 
-/// Largest height of each of two neighbors over the other's plane, as a share of that distance: as much as those at an edge of a box have.
+/// Largest height of each of two neighbors over the other's plane, as a share of that distance: as much as those at an edge of a box have. Half of it:
+/// 6 and 8, 99 and 98 %; twice: 2 and 4, 97 and 89 %.
 const HEIGHT: f32 = 0.5;
 
 /// What is asked of a surfel again and again.
