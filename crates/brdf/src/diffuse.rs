@@ -17,6 +17,11 @@ impl EnvironmentTexels {
         let padded = table.pad(texels);
         Self { channels: std::array::from_fn(|c| padded.iter().map(|t| t[c]).collect()) }
     }
+
+    /// Radiance of all texels in one channel.
+    pub(crate) fn channel(&self, channel: usize) -> &[f32] {
+        &self.channels[channel]
+    }
 }
 
 /// Integrals over eight texels of a row.

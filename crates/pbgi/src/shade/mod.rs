@@ -22,8 +22,8 @@ use pbgi_image::read_environment_noting_within;
 use pbgi_light::{Environment, EnvironmentOptions, UpAxis};
 use pbgi_math::Vec3;
 use pbgi_schedule::{
-    CHUNKS_IN_FLIGHT, Feed, RECEIVER_BYTES_IN_FLIGHT, ShadeOptions, ShadeReport as ScheduleReport,
-    Shaded, shade_receivers, shade_stream,
+    CHUNKS_IN_FLIGHT, Feed, KeptRecords, RECEIVER_BYTES_IN_FLIGHT, ShadeOptions,
+    ShadeReport as ScheduleReport, Shaded, shade_receivers, shade_stream,
 };
 use pbgi_store::{Backend, Octree, OpenOptions};
 use serde::Serialize;
@@ -312,6 +312,7 @@ impl ShadeSettings {
             bias: self.bias,
             node_bytes: node_bytes(self.memory_bytes, self.threads),
             up: up_axis(header),
+            tolerance: std::env::var("PBGI_TOL").map_or(0.0, |t| t.parse().unwrap()),
             ..GatherSettings::default()
         }
     }
@@ -342,6 +343,8 @@ pub(crate) struct Session<'a> {
     trace: Option<PathBuf>,
     target: Option<TargetReport>,
     done: ScheduleReport,
+    /// Records of what was shaded last.
+    records: KeptRecords,
     memory: MemorySplit,
     /// What the user should know of, one sentence each.
     pub warnings: Vec<String>,
@@ -398,6 +401,7 @@ impl<'a> Session<'a> {
             trace: settings.io.trace.clone(),
             target: None,
             done: ScheduleReport::default(),
+            records: KeptRecords::default(),
             memory,
             warnings,
         })
@@ -471,12 +475,16 @@ impl<'a> Session<'a> {
     ) -> Result<Vec<Shading>, PbgiError> {
         let options = self.options(parts, advance);
         let mut shadings = Vec::with_capacity(receivers.len());
+        let mut records = std::mem::take(&mut self.records);
+        // What shares records is shaded as one.
+        let chunk = if self.gather.tolerance > 0.0 { receivers.len() } else { CHUNK_RECEIVERS };
         let report = shade_stream(
             &self.octree,
             self.light.as_ref(),
             &options,
+            &mut records,
             |feed: &mut Feed<'_, '_, (), PbgiError>| {
-                let mut chunks = receivers.chunks(CHUNK_RECEIVERS);
+                let mut chunks = receivers.chunks(chunk.max(1));
                 chunks.try_for_each(|chunk| feed.push(Cow::Borrowed(chunk), ()))
             },
             |chunk| {
@@ -485,6 +493,7 @@ impl<'a> Session<'a> {
                 Ok(())
             },
         )?;
+        self.records = records;
         self.done.add(&report);
         Ok(shadings)
     }
@@ -499,12 +508,13 @@ impl<'a> Session<'a> {
     ) -> Result<(), PbgiError> {
         let options = self.options(GatherParts::All, advance);
         let Self { octree, light, sample, done, .. } = self;
-        let report =
-            shade_stream(octree, light.as_ref(), &options, fill, |chunk: Shaded<'_, T>| {
-                check_finite(chunk.receivers, &chunk.shadings)?;
-                sample.offer_all(chunk.receivers, None, &chunk.shadings);
-                take(chunk)
-            })?;
+        let mut records = std::mem::take(&mut self.records);
+        let take = |chunk: Shaded<'_, T>| {
+            check_finite(chunk.receivers, &chunk.shadings)?;
+            sample.offer_all(chunk.receivers, None, &chunk.shadings);
+            take(chunk)
+        };
+        let report = shade_stream(octree, light.as_ref(), &options, &mut records, fill, take)?;
         done.add(&report);
         Ok(())
     }
@@ -585,7 +595,7 @@ impl<'a> Session<'a> {
         let receivers: Vec<Receiver> = sample.iter().map(|s| s.receiver).collect();
         let phase = progress.start_phase("check", "receivers", Some(receivers.len() as u64));
         let options = ShadeOptions {
-            gather: GatherSettings { solid_angle_sr: 0.0, ..self.gather },
+            gather: GatherSettings { solid_angle_sr: 0.0, tolerance: 0.0, ..self.gather },
             threads: self.threads,
             cancel: self.cancel,
             progress: &|done| phase.set_done(done),

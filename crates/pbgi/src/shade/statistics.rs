@@ -39,7 +39,7 @@ impl CutReport {
         let sizes = &report.cut_sizes;
         Self {
             batches: report.batches,
-            gathers: report.receivers,
+            gathers: sizes.count,
             size_mean: sizes.mean(),
             size_deviation: sizes.standard_deviation(),
             size_min: sizes.min(),
