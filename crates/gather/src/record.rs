@@ -12,6 +12,9 @@ use pbgi_math::Vec3;
 /// tolerance.
 const COHERENCE: f32 = 0.15;
 
+/// Change of all borders together, over the value, up to which extrapolation of the first order is of use: at 0.8 to 1.6 it is as wrong as none.
+const FIRST_ORDER_MAX: f32 = 0.7;
+
 /// Share of the mean that is added to what errors are relative to, so that what is all but black does not rule: as where errors are measured.
 const LEAST_SHARE: f32 = 0.1;
 
@@ -101,7 +104,7 @@ impl Record {
             translation: differential.translation,
             rotation: differential.rotation,
             scales,
-            reach: rise / COHERENCE,
+            reach: rise / COHERENCE.max(tolerance.share / FIRST_ORDER_MAX),
             rise,
             // Turning by φ is wrong by the light of the lune that rises over the horizon: φ²/4 of what a hemisphere of it would give.
             inverse_turn2: 1.0 / (4.0 * tolerance.share),

@@ -23,6 +23,9 @@ const BLOCK: usize = 64;
 /// Expected error over the tolerance from which a receiver gathers for itself: below 1, so that records overlap where they are blended.
 const COVERED: f32 = 0.5;
 
+/// Times that receivers which no record serves any more, as records disagree, gather records of their own; then each gathers for itself.
+const ROUNDS_MAX: u32 = 4;
+
 /// Receivers of a chunk whose mean tells what is dark.
 const SAMPLE_RECEIVERS: usize = 32;
 
@@ -31,7 +34,7 @@ pub const RECORD_BYTES: usize = size_of::<Record>() + size_of::<[f32; 4]>();
 
 /// Records of a chunk, for the one that follows.
 #[derive(Debug, Default)]
-pub struct KeptRecords(Vec<Record>);
+pub struct KeptRecords(Vec<Records>);
 
 /// Shades receivers chunk by chunk with records.
 pub(crate) struct RecordShader<'a, 'o, 'k> {
@@ -86,6 +89,9 @@ impl<'a, 'o, 'k> RecordShader<'a, 'o, 'k> {
 
     /// Shades a chunk, also with the records of the one before.
     pub fn shade(&mut self, receivers: &[Receiver]) -> Result<Vec<Shading>, ScheduleError> {
+        if receivers.is_empty() {
+            return Ok(Vec::new());
+        }
         let order = morton_order(receivers);
         // Covering and blending count half each.
         let halves = AtomicU64::new(2 * self.receivers);
@@ -93,7 +99,8 @@ impl<'a, 'o, 'k> RecordShader<'a, 'o, 'k> {
             let before = halves.fetch_add(count as u64, Ordering::Relaxed);
             (self.options.progress)((before + count as u64) / 2);
         };
-        let kept = around_all(std::mem::take(&mut self.kept.0), receivers);
+        let kept = Pool { parts: std::mem::take(&mut self.kept.0) };
+        let mut records = Pool { parts: vec![kept.within(receivers, &order)] };
         let (options, workers) = (self.options, &mut self.workers);
         let sample: Vec<u32> =
             coarse_to_fine(order.len()).take(SAMPLE_RECEIVERS).map(|place| order[place]).collect();
@@ -102,21 +109,32 @@ impl<'a, 'o, 'k> RecordShader<'a, 'o, 'k> {
         })?;
         let tolerance = Tolerance::new(options.gather.tolerance, &sample);
         let runs: Vec<&[u32]> = order.chunks(RUN_RECEIVERS).collect();
-        let made = in_parallel(workers, options.cancel, runs.len(), |worker, number| {
-            let records = cover(worker, receivers, runs[number], &kept, &tolerance, options.cancel);
-            advance(runs[number].len());
-            records
-        })?;
-        let made: Vec<Record> = made.into_iter().flatten().collect();
-        let made_count = made.len();
-        let mut records = Records::new(made.into_iter().chain(kept.records).collect());
-        let reaches = in_parallel(
-            workers,
-            options.cancel,
-            records.records.len().div_ceil(BLOCK),
-            |_, number| Ok(records.agreed_reaches(number, &tolerance)),
-        )?;
-        records.limit_reaches(reaches.into_iter().flatten());
+        for round in 0..ROUNDS_MAX {
+            let least = if round == 0 { COVERED } else { 1.0 };
+            let cover = Cover {
+                receivers,
+                present: &records,
+                least,
+                tolerance: &tolerance,
+                cancel: options.cancel,
+            };
+            let made = in_parallel(workers, options.cancel, runs.len(), |worker, number| {
+                let made = cover.run(worker, runs[number])?;
+                advance(if round == 0 { runs[number].len() } else { 0 });
+                Ok(made)
+            })?;
+            if made.iter().all(|part| part.records.is_empty()) {
+                break;
+            }
+            records.parts.extend(made);
+            let count = records.parts.len();
+            let reaches = in_parallel(workers, options.cancel, count, |_, number| {
+                Ok(records.agreed_reaches(number, &tolerance))
+            })?;
+            for (part, reaches) in records.parts.iter_mut().zip(reaches) {
+                part.limit_reaches(&reaches);
+            }
+        }
         let blocks: Vec<&[u32]> = order.chunks(BLOCK).collect();
         let blended = in_parallel(workers, options.cancel, blocks.len(), |worker, number| {
             let shadings = blend(worker, receivers, blocks[number], &records, options.gather.parts);
@@ -129,8 +147,7 @@ impl<'a, 'o, 'k> RecordShader<'a, 'o, 'k> {
         }
         self.runs += runs.len() as u64;
         self.receivers += receivers.len() as u64;
-        records.records.truncate(made_count);
-        self.kept.0 = records.records;
+        self.kept.0 = records.parts.split_off(1);
         Ok(shadings)
     }
 
@@ -183,34 +200,38 @@ fn in_parallel<'a, T: Send>(
     done.into_iter().map(|(_, result)| result).collect()
 }
 
-/// Records that cover a run of receivers.
-fn cover(
-    worker: &mut Worker<'_>,
-    receivers: &[Receiver],
-    run: &[u32],
-    kept: &Records,
-    tolerance: &Tolerance,
-    cancel: &AtomicBool,
-) -> Result<Vec<Record>, ScheduleError> {
-    let positions = run.iter().map(|&index| receivers[index as usize].position);
-    let near = kept.around(&Aabb::from_points(positions));
-    let mut made = Records::default();
-    for place in coarse_to_fine(run.len()) {
-        let receiver = &receivers[run[place] as usize];
-        let covers = |record: &Record| record.error_at(receiver) < COVERED;
-        if near.iter().any(|&number| covers(&kept.records[number as usize]))
-            || made.any_around(receiver.position, covers)
-        {
-            continue;
+/// What a run of receivers is covered by.
+struct Cover<'c> {
+    receivers: &'c [Receiver],
+    /// Records there are already.
+    present: &'c Pool,
+    /// Expected error over the tolerance from which a receiver gathers for itself.
+    least: f32,
+    tolerance: &'c Tolerance,
+    cancel: &'c AtomicBool,
+}
+
+impl Cover<'_> {
+    /// Records that cover, with those present, what of a run is not.
+    fn run(&self, worker: &mut Worker<'_>, run: &[u32]) -> Result<Records, ScheduleError> {
+        let present = self.present.within(self.receivers, run);
+        let mut made = Records::default();
+        for place in coarse_to_fine(run.len()) {
+            let receiver = &self.receivers[run[place] as usize];
+            let covers = |record: &Record| record.error_at(receiver) < self.least;
+            let is_covered = |records: &Records| records.any_around(receiver.position, covers);
+            if is_covered(&present) || is_covered(&made) {
+                continue;
+            }
+            if self.cancel.load(Ordering::Relaxed) {
+                return Err(ScheduleError::Cancelled);
+            }
+            let mut record = worker.record(receiver, self.tolerance)?;
+            made.agree(&mut record, self.tolerance);
+            made.push(record);
         }
-        if cancel.load(Ordering::Relaxed) {
-            return Err(ScheduleError::Cancelled);
-        }
-        let mut record = worker.record(receiver, tolerance)?;
-        made.agree(&mut record, tolerance);
-        made.push(record);
+        Ok(made)
     }
-    Ok(made.records)
 }
 
 /// The numbers below `count`, each as far from those before as may be.
@@ -225,16 +246,15 @@ fn blend(
     worker: &mut Worker<'_>,
     receivers: &[Receiver],
     block: &[u32],
-    records: &Records,
+    records: &Pool,
     parts: GatherParts,
 ) -> Result<Vec<Shading>, ScheduleError> {
-    let positions = block.iter().map(|&index| receivers[index as usize].position);
-    let near = records.around(&Aabb::from_points(positions));
+    let near = records.within(receivers, block);
     let mut shadings = Vec::with_capacity(block.len());
     for &index in block {
         let receiver = &receivers[index as usize];
         let mut blend = Blend::default();
-        near.iter().for_each(|&number| blend.add(&records.records[number as usize], receiver));
+        near.records.iter().for_each(|record| blend.add(record, receiver));
         let mut shading = match blend.shading(receiver) {
             Some(shading) => shading,
             None => worker.gather_broad(receiver)?,
@@ -247,20 +267,13 @@ fn blend(
     Ok(shadings)
 }
 
-/// Those of `records` that may serve for some of the receivers.
-fn around_all(records: Vec<Record>, receivers: &[Receiver]) -> Records {
-    let bounds = Aabb::from_points(receivers.iter().map(|receiver| receiver.position));
-    let serves = |record: &Record| distance2(&bounds, record.position()) < record.reach().powi(2);
-    Records::new(records.into_iter().filter(serves).collect())
-}
-
 /// Square of the distance from a point to a box.
 fn distance2(bounds: &Aabb, point: Vec3) -> f32 {
     (point - point.clamp(bounds.min, bounds.max)).length_squared()
 }
 
 /// Records, and the balls in which they serve.
-#[derive(Default)]
+#[derive(Debug, Default)]
 struct Records {
     records: Vec<Record>,
     /// Position and square of the reach.
@@ -274,21 +287,9 @@ fn ball(record: &Record) -> [f32; 4] {
 }
 
 impl Records {
-    fn new(records: Vec<Record>) -> Self {
-        let balls = records.iter().map(ball).collect();
-        Self { records, balls }
-    }
-
     fn push(&mut self, record: Record) {
         self.balls.push(ball(&record));
         self.records.push(record);
-    }
-
-    /// Numbers of those whose balls meet a box.
-    fn around(&self, bounds: &Aabb) -> Vec<u32> {
-        let meets = |ball: &[f32; 4]| distance2(bounds, Vec3::from_slice(&ball[..3])) < ball[3];
-        let balls = self.balls.iter().enumerate();
-        balls.filter(|(_, ball)| meets(ball)).map(|(number, _)| number as u32).collect()
     }
 
     /// Whether something holds of any record in whose ball a place lies.
@@ -312,28 +313,52 @@ impl Records {
         new.limit_reach(reach);
     }
 
-    /// Reaches of a block of records to where they agree with all others.
-    fn agreed_reaches(&self, number: usize, tolerance: &Tolerance) -> Vec<f32> {
-        let block = &self.records[number * BLOCK..self.records.len().min((number + 1) * BLOCK)];
-        let bounds = Aabb::from_points(block.iter().map(Record::position));
-        let farthest = block.iter().map(Record::reach).fold(0.0, f32::max);
-        let is_near = |ball: &&[f32; 4]| {
-            distance2(&bounds, Vec3::from_slice(&ball[..3])) < farthest * farthest
-        };
-        let balls = self.balls.iter().zip(&self.records);
-        let near: Vec<&Record> =
-            balls.filter(|(ball, _)| is_near(ball)).map(|(_, record)| record).collect();
-        let agreed = |record: &Record| {
-            let beside = near.iter().map(|other| record.reach_beside(other, tolerance));
-            beside.fold(record.reach(), f32::min)
-        };
-        block.iter().map(agreed).collect()
-    }
-
-    fn limit_reaches(&mut self, reaches: impl Iterator<Item = f32>) {
+    fn limit_reaches(&mut self, reaches: &[f32]) {
         for ((record, place), reach) in self.records.iter_mut().zip(&mut self.balls).zip(reaches) {
-            record.limit_reach(reach);
+            record.limit_reach(*reach);
             *place = ball(record);
         }
+    }
+}
+
+/// Records of several runs.
+struct Pool {
+    parts: Vec<Records>,
+}
+
+impl Pool {
+    /// Those that may serve for some of the receivers.
+    fn within(&self, receivers: &[Receiver], chosen: &[u32]) -> Records {
+        let positions = chosen.iter().map(|&index| receivers[index as usize].position);
+        let bounds = Aabb::from_points(positions);
+        self.chosen(|ball| distance2(&bounds, Vec3::from_slice(&ball[..3])) < ball[3])
+    }
+
+    fn chosen(&self, is_chosen: impl Fn(&[f32; 4]) -> bool) -> Records {
+        let mut found = Records::default();
+        for part in &self.parts {
+            let balls = part.balls.iter().zip(&part.records);
+            balls.filter(|(ball, _)| is_chosen(ball)).for_each(|(_, record)| found.push(*record));
+        }
+        found
+    }
+
+    /// Reaches of the records of a part to where they agree with all.
+    fn agreed_reaches(&self, number: usize, tolerance: &Tolerance) -> Vec<f32> {
+        let mut reaches = Vec::with_capacity(self.parts[number].records.len());
+        for block in self.parts[number].records.chunks(BLOCK) {
+            let bounds = Aabb::from_points(block.iter().map(Record::position));
+            let farthest = block.iter().map(Record::reach).fold(0.0, f32::max);
+            let is_near = |ball: &[f32; 4]| {
+                distance2(&bounds, Vec3::from_slice(&ball[..3])) < farthest * farthest
+            };
+            let near = self.chosen(is_near);
+            let agreed = |record: &Record| {
+                let beside = near.records.iter().map(|other| record.reach_beside(other, tolerance));
+                beside.fold(record.reach(), f32::min)
+            };
+            reaches.extend(block.iter().map(agreed));
+        }
+        reaches
     }
 }

@@ -360,7 +360,8 @@ fn frame_bytes(request: &FrameRequest<'_>) -> (u64, u64) {
     };
     let depth = if request.scene.is_none() { 12 * u64::from(request.samples) } else { 0 };
     let per_pixel = (piece * pieces_per_pixel) as u64 + depth + 160;
-    (image, width * per_pixel)
+    let records = request.settings.record_bytes() as f64 * pieces_per_pixel;
+    (image, width * (per_pixel + records as u64))
 }
 
 #[cfg(test)]

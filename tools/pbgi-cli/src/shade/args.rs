@@ -317,6 +317,12 @@ pub struct QualityArgs {
     #[arg(long, visible_alias = "maxsolidangle", value_name = "SR",
           default_value_t = ShadeSettings::default().solid_angle_sr)]
     pub solid_angle: f32,
+    /// Error that interpolation may add at most, such as 5%; 0 gathers for each receiver
+    ///
+    /// Receivers whose neighbors' light tells theirs are interpolated, by irradiance gradients; sharp shadows of suns and gloss never are. The mean of
+    /// what it adds is about a tenth of this; --check tells.
+    #[arg(long, value_name = "SHARE", value_parser = parse_share_or_none, default_value = "10%")]
+    pub interpolation: f32,
     /// What makes nodes smaller in some directions than in others
     ///
     /// Some of env,lobe,cosine,radiance,quality, or all or off: bright parts of the environment, what a glossy surface reflects
@@ -508,6 +514,10 @@ fn parse_share(text: &str) -> Result<f64, String> {
     share.filter(|x| (1e-4..=1.0).contains(x)).ok_or_else(|| {
         format!("`{text}` is no error; expected such as 2% or 0.02, from 0.01% to 100%")
     })
+}
+
+fn parse_share_or_none(text: &str) -> Result<f32, String> {
+    if text.trim() == "0" { Ok(0.0) } else { parse_share(text).map(|share| share as f32) }
 }
 
 /// Three coordinates in double precision: survey coordinates have millions of meters.
