@@ -42,6 +42,16 @@ pub struct Differential {
     pub slope_sums: [f32; 2],
 }
 
+/// A texel with something in it that hides: how it grows as the receiver comes nearer.
+#[derive(Clone, Copy, Debug)]
+struct Looming {
+    /// Of the hemisphere, weighted by cosine, what it hides; and the irradiance it would replace or bring.
+    weights: [f32; 2],
+    inverse_distance: f32,
+    /// Square of the tangent of its elevation over the receiver's plane.
+    tan2: f32,
+}
+
 /// Differentiates what is in cube rasters of one resolution.
 #[derive(Clone, Debug)]
 pub struct Differentiator {
@@ -53,6 +63,7 @@ pub struct Differentiator {
     /// What each texel adds to each quantity per projected solid angle, and the inverse depth of the nearest thing in it: of one raster.
     values: Vec<[f32; QUANTITIES]>,
     nearest: Vec<f32>,
+    looming: Vec<Looming>,
 }
 
 impl Differentiator {
@@ -71,6 +82,7 @@ impl Differentiator {
             sky_sum_sr: sky.map(|t| t.solid_angle_sr).sum(),
             values: vec![[0.0; QUANTITIES]; count],
             nearest: vec![0.0; count],
+            looming: Vec::with_capacity(count),
         }
     }
 
@@ -89,7 +101,7 @@ impl Differentiator {
         [normal, plane]: [Vec3; 2],
     ) -> Differential {
         let mut found = Differential::default();
-        self.read(raster, environment, &mut found.rotation);
+        self.read(raster, environment, [normal, plane], &mut found.rotation);
         for border in &self.borders {
             let [a, b] = border.texels.map(|index| index as usize);
             let near =
@@ -121,16 +133,33 @@ impl Differentiator {
         found
     }
 
+    /// What extrapolation to a distance may be wrong by as things there loom: of ambient occlusion, and of irradiance where there is `mean` irradiance.
+    #[must_use]
+    pub fn looming(&self, distance: f32, mean: f32) -> [f32; 2] {
+        let mut sums = [0.0; 2];
+        for thing in &self.looming {
+            let nearness = larger(1.0 - distance * thing.inverse_distance, 0.05);
+            let start = thing.tan2 + 1.0;
+            let grown = start / (thing.tan2 + nearness * nearness);
+            let more = larger(grown - 1.0 - 2.0 * (1.0 - nearness) / start, 0.0);
+            sums[0] += thing.weights[0] * more;
+            sums[1] += larger(thing.weights[1], thing.weights[0] * mean) * more;
+        }
+        sums.map(|sum| 0.5 * sum)
+    }
+
     /// Reads a raster's texels, and sums how they turn.
     #[inline(always)]
     fn read(
         &mut self,
         raster: &CubeRaster,
         environment: Option<&EnvironmentTexels>,
+        [normal, plane]: [Vec3; 2],
         rotation: &mut [Vec3; QUANTITIES],
     ) {
         self.values.fill([0.0; QUANTITIES]);
         self.nearest.fill(0.0);
+        self.looming.clear();
         for number in 0..self.values.len() / LANES {
             let Some(chunk) = raster.chunk(number) else { continue };
             for lane in 0..LANES {
@@ -157,6 +186,21 @@ impl Differentiator {
                 let vector = self.vectors[index] * above;
                 for i in 0..SKY {
                     rotation[i] += vector * values[i];
+                }
+                if self.nearest[index] > 0.0 {
+                    let length = vector.length();
+                    let sine = vector.dot(plane) / length;
+                    let projected = larger(vector.dot(normal), 0.0);
+                    let brightness = values[LIGHT].iter().sum::<f32>();
+                    let direction = vector / length;
+                    self.looming.push(Looming {
+                        weights: [
+                            projected * (1.0 - open) / PI,
+                            projected * (1.0 - open) * brightness,
+                        ],
+                        inverse_distance: self.nearest[index] * direction.abs().max_element(),
+                        tan2: sine * sine / larger(1.0 - sine * sine, 1e-6),
+                    });
                 }
             }
         }

@@ -172,7 +172,11 @@ impl<'a> Gatherer<'a> {
         let shading = self.broad(receiver)?;
         let kernel = DifferentialKernel { gatherer: self, receiver };
         let differential = run_wide(kernel.gatherer.settings.simd, kernel);
-        Ok(Record::new(receiver, &shading, &differential, tolerance))
+        let differentiator = &self.differentiator;
+        let looming = |distance: f32, light: f32| {
+            differentiator.as_ref().map_or([0.0; 2], |d| d.looming(distance, light))
+        };
+        Ok(Record::new(receiver, &shading, &differential, looming, tolerance))
     }
 
     /// Gathers broad light alone.

@@ -15,6 +15,9 @@ const COHERENCE: f32 = 0.15;
 /// Change of all borders together, over the value, up to which extrapolation of the first order is of use: at 0.8 to 1.6 it is as wrong as none.
 const FIRST_ORDER_MAX: f32 = 0.7;
 
+/// Steps by which a reach is made shorter at most, where things loom.
+const REACH_STEPS: u32 = 20;
+
 /// Share of the mean that is added to what errors are relative to, so that what is all but black does not rule: as where errors are measured.
 const LEAST_SHARE: f32 = 0.1;
 
@@ -86,6 +89,7 @@ impl Record {
         receiver: &Receiver,
         shading: &Shading,
         differential: &Differential,
+        looming: impl Fn(f32, f32) -> [f32; 2],
         tolerance: &Tolerance,
     ) -> Self {
         let values = quantities(shading);
@@ -95,6 +99,18 @@ impl Record {
             slope => tolerance.share * scales[i] / slope,
         };
         let rise = rise(0).min(rise(1));
+        let mut reach = rise / COHERENCE.max(tolerance.share / FIRST_ORDER_MAX);
+        let light = light(&values);
+        let is_too_far = |reach: f32| {
+            let errors = looming(reach, light);
+            errors.iter().zip(scales).any(|(error, scale)| *error > tolerance.share * scale)
+        };
+        for _ in 0..REACH_STEPS {
+            if !is_too_far(reach) {
+                break;
+            }
+            reach *= 0.7;
+        }
         Self {
             position: receiver.position,
             normal: receiver.normal,
@@ -104,7 +120,7 @@ impl Record {
             translation: differential.translation,
             rotation: differential.rotation,
             scales,
-            reach: rise / COHERENCE.max(tolerance.share / FIRST_ORDER_MAX),
+            reach,
             rise,
             // Turning by φ is wrong by the light of the lune that rises over the horizon: φ²/4 of what a hemisphere of it would give.
             inverse_turn2: 1.0 / (4.0 * tolerance.share),

@@ -110,11 +110,9 @@ impl<'a, 'o, 'k> RecordShader<'a, 'o, 'k> {
         let tolerance = Tolerance::new(options.gather.tolerance, &sample);
         let runs: Vec<&[u32]> = order.chunks(RUN_RECEIVERS).collect();
         for round in 0..ROUNDS_MAX {
-            let least = if round == 0 { COVERED } else { 1.0 };
             let cover = Cover {
                 receivers,
                 present: &records,
-                least,
                 tolerance: &tolerance,
                 cancel: options.cancel,
             };
@@ -205,8 +203,6 @@ struct Cover<'c> {
     receivers: &'c [Receiver],
     /// Records there are already.
     present: &'c Pool,
-    /// Expected error over the tolerance from which a receiver gathers for itself.
-    least: f32,
     tolerance: &'c Tolerance,
     cancel: &'c AtomicBool,
 }
@@ -218,7 +214,7 @@ impl Cover<'_> {
         let mut made = Records::default();
         for place in coarse_to_fine(run.len()) {
             let receiver = &self.receivers[run[place] as usize];
-            let covers = |record: &Record| record.error_at(receiver) < self.least;
+            let covers = |record: &Record| record.error_at(receiver) < COVERED;
             let is_covered = |records: &Records| records.any_around(receiver.position, covers);
             if is_covered(&present) || is_covered(&made) {
                 continue;
