@@ -9,6 +9,7 @@ mod leaks;
 mod lights;
 mod octree_file;
 mod own_surface;
+mod records;
 mod reflections;
 mod schedule;
 mod support;

@@ -236,3 +236,87 @@ fn borders_of(
         Some(Border { texels: [index as u32, other as u32], middle, across, cosines })
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diffuse::tests::Draw;
+    use crate::{ConvolutionTable, Diffuse, convolve_diffuse};
+    use pbgi_raster::{SimdLevel, run_wide};
+
+    const EDGE: usize = 32;
+
+    /// What a receiver of a normal gathers beside a wall, wide without end, whose edge is `height` above it, at a distance; and how that changes.
+    fn beside_wall(normal: Vec3, distance: f32, height: f32) -> (Diffuse, Differential) {
+        let table = CubeRasterTable::new(EDGE);
+        let sums = ConvolutionTable::new(&table, Vec3::Z);
+        let mut raster = CubeRaster::new(&table, true);
+        let low = Vec3::new(distance - 0.001, -2000.0, -2000.0);
+        // Planes lie at distance 1: the box cuts the wall out of x = 1, or its picture at that distance.
+        let scale = 1.0 / distance;
+        let high = Vec3::new(distance + 0.001, 2000.0, height);
+        let wall = (Vec3::X, low * scale, high * scale);
+        run_wide(SimdLevel::Baseline, Draw(&mut raster, normal, &[wall]));
+        let found = convolve_diffuse(&raster, &sums, None, [normal; 2]);
+        let mut differentiator = Differentiator::new(&table, Vec3::Z);
+        (found, differentiator.differentiate(&raster, None, [normal; 2]))
+    }
+
+    /// The wall hides (1 − 1/√(1 + h²))/2 of the hemisphere where it is h times as high as far; in units of its distance.
+    #[test]
+    fn moving_toward_a_wall_hides_what_it_should() {
+        for height in [0.3, 0.7, 1.0, 2.5] {
+            let (_, found) = beside_wall(Vec3::Z, 1.0, height);
+            let slope = -0.5 * height * height / (1.0 + height * height).powf(1.5);
+            let moved = found.translation[OCCLUSION];
+            assert!(
+                (moved.x - slope).abs() < 0.2 * slope.abs() + 0.003,
+                "{height}: {moved} {slope}"
+            );
+            assert!(moved.y.abs() < 0.003, "{height}: {moved}");
+            // The wall has radiance 3.
+            let lit = found.translation[0].x;
+            assert!(
+                (lit / (-3.0 * PI) - slope).abs() < 0.2 * slope.abs() + 0.003,
+                "{height}: {lit}"
+            );
+            // More than that where the edge, which is level, goes through texels in steps.
+            let sum = found.slope_sums[0] / slope.abs();
+            assert!(sum > 0.9 && sum < 4.0, "{height}: {sum}");
+        }
+    }
+
+    #[test]
+    fn turning_changes_what_it_should() {
+        let (before, found) = beside_wall(Vec3::Z, 1.0, 1.0);
+        for turn in [-0.05f32, 0.05] {
+            let normal = Vec3::new(turn.sin(), 0.0, turn.cos());
+            let (after, _) = beside_wall(normal, 1.0, 1.0);
+            let expected =
+                before.ambient_occlusion + found.rotation[OCCLUSION].dot(normal - Vec3::Z);
+            let error = expected - after.ambient_occlusion;
+            assert!(error.abs() < 0.002, "{turn}: {error}");
+            let change = after.ambient_occlusion - before.ambient_occlusion;
+            assert!(change.abs() > 0.01, "{turn}: {change}");
+        }
+    }
+
+    /// At half the distance of a low wall, hidden is four times as much; of that, the first order tells two parts.
+    #[test]
+    fn what_is_low_looms() {
+        let height = 0.1f32;
+        let table = CubeRasterTable::new(EDGE);
+        let mut raster = CubeRaster::new(&table, true);
+        let wall = (Vec3::X, Vec3::new(0.999, -2000.0, -1.0), Vec3::new(1.001, 2000.0, height));
+        run_wide(SimdLevel::Baseline, Draw(&mut raster, Vec3::Z, &[wall]));
+        let mut differentiator = Differentiator::new(&table, Vec3::Z);
+        let _ = differentiator.differentiate(&raster, None, [Vec3::Z; 2]);
+        let hidden = |h: f32| 0.5 * (1.0 - 1.0 / (1.0 + h * h).sqrt());
+        let slope = 0.5 * height * height / (1.0 + height * height).powf(1.5);
+        let truth = hidden(2.0 * height) - hidden(height) - 0.5 * slope;
+        let found = differentiator.looming(0.5, 0.0)[0];
+        // Half of what is around is taken to come nearer, and what is beside comes less near: a bound within a factor.
+        assert!(found > 0.3 * truth && found < 2.0 * truth, "{found} {truth}");
+        assert_eq!(differentiator.looming(0.0, 0.0)[0], 0.0);
+    }
+}

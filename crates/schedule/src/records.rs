@@ -29,10 +29,16 @@ const ROUNDS_MAX: u32 = 4;
 /// Receivers of a chunk whose mean tells what is dark.
 const SAMPLE_RECEIVERS: usize = 32;
 
-/// Bytes held per receiver, where each gathers for itself.
-pub const RECORD_BYTES: usize = size_of::<Record>() + size_of::<[f32; 4]>();
+/// Receivers of a chunk per record that is kept for the next one: those that reach farthest.
+const KEPT_DIVISOR: usize = 4;
 
-/// Records of a chunk, for the one that follows.
+/// Bytes held per receiver, where each gathers for itself.
+pub const RECORD_BYTES: usize = {
+    let each = size_of::<Record>() + size_of::<[f32; 4]>();
+    each + each / KEPT_DIVISOR
+};
+
+/// Records of the chunks before, for the one that follows.
 #[derive(Debug, Default)]
 pub struct KeptRecords(Vec<Records>);
 
@@ -145,7 +151,7 @@ impl<'a, 'o, 'k> RecordShader<'a, 'o, 'k> {
         }
         self.runs += runs.len() as u64;
         self.receivers += receivers.len() as u64;
-        self.kept.0 = records.parts.split_off(1);
+        self.kept.0 = records.most_useful(receivers.len() / KEPT_DIVISOR);
         Ok(shadings)
     }
 
@@ -288,6 +294,17 @@ impl Records {
         self.records.push(record);
     }
 
+    fn reaches(&self) -> impl Iterator<Item = f32> {
+        self.records.iter().map(Record::reach)
+    }
+
+    /// Leaves out records of which something does not hold.
+    fn retain(&mut self, holds: impl Fn(&Record) -> bool) {
+        self.records.retain(holds);
+        self.records.shrink_to_fit();
+        self.balls = self.records.iter().map(ball).collect();
+    }
+
     /// Whether something holds of any record in whose ball a place lies.
     fn any_around(&self, place: Vec3, holds: impl Fn(&Record) -> bool) -> bool {
         let is_in =
@@ -328,6 +345,17 @@ impl Pool {
         let positions = chosen.iter().map(|&index| receivers[index as usize].position);
         let bounds = Aabb::from_points(positions);
         self.chosen(|ball| distance2(&bounds, Vec3::from_slice(&ball[..3])) < ball[3])
+    }
+
+    /// The `count` that reach farthest, or a few less.
+    fn most_useful(mut self, count: usize) -> Vec<Records> {
+        let mut reaches: Vec<f32> = self.parts.iter().flat_map(Records::reaches).collect();
+        if reaches.len() > count {
+            let (_, least, _) = reaches.select_nth_unstable_by(count, |a, b| b.total_cmp(a));
+            let least = *least;
+            self.parts.iter_mut().for_each(|part| part.retain(|record| record.reach() > least));
+        }
+        self.parts
     }
 
     fn chosen(&self, is_chosen: impl Fn(&[f32; 4]) -> bool) -> Records {

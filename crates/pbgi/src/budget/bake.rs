@@ -6,6 +6,7 @@ use crate::figures::format_bytes;
 use crate::shade::CHUNK_RECEIVERS;
 use pbgi_build::BuildOptions;
 use pbgi_file::platform::resident_bytes;
+use pbgi_schedule::RECORD_BYTES;
 use pbgi_sort::BUDGET_BYTES_MIN;
 use pbgi_store::PIN_BYTES_PER_READER_MIN;
 
@@ -17,8 +18,8 @@ const BUILD_BYTES: u64 = 16 << 20;
 const THREAD_BYTES: u64 = 1 << 20;
 /// What the allocator keeps for itself, and small things.
 const MARGIN_BYTES: u64 = 4 << 20;
-/// A surfel being shaded: itself and its code, receiver, order, result twice.
-const SHADED_SURFEL_BYTES: u64 = 256;
+/// A surfel being shaded: itself and its code, receiver, order, result twice, and its irradiance record.
+const SHADED_SURFEL_BYTES: u64 = 256 + RECORD_BYTES as u64;
 
 /// Bytes of the page cache of a program that only reads an octree.
 pub(crate) fn reader_cache_bytes(limit: u64) -> u64 {

@@ -57,9 +57,8 @@ const SKY_COLUMNS: usize = 2048;
 const SOLID_ANGLE_SR: f32 = 0.08;
 const RASTER_EDGE: usize = 8;
 
-/// Neighbors on one surface that share a gather when the surfels are lit: their light is only seen
-/// reflected by others.
-const SHARE: usize = 256;
+/// What interpolation of light may add to errors.
+const INTERPOLATION: f32 = 0.1;
 
 /// Largest solid angle of a node where surfels are lit.
 const BAKE_SOLID_ANGLE_SR: f32 = 1.0;
@@ -146,6 +145,7 @@ impl Demo {
                 memory_bytes: self.common.memory_limit,
                 solid_angle_sr: self.solid_angle_sr,
                 raster_edge: self.raster_edge,
+                interpolation: INTERPOLATION,
                 ..ShadeSettings::default()
             },
         };
@@ -185,7 +185,7 @@ impl Demo {
             sampling: Sampling::Surfels(self.surfels),
             light: LightRequest {
                 environment: Some(EnvironmentSpec::from_file(sky)),
-                share: SHARE,
+                interpolation: INTERPOLATION,
                 solid_angle_sr: BAKE_SOLID_ANGLE_SR,
                 ..LightRequest::default()
             },
