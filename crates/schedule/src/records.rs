@@ -15,7 +15,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 /// Receivers of a run. Of half as many, more lie at borders between runs, and more gather for themselves; twice as many leave less work to share out.
-const RUN_RECEIVERS: usize = 1024;
+const RUN_RECEIVERS: usize = 512;
 
 /// Receivers, or records, that look for the records around them together.
 const BLOCK: usize = 64;

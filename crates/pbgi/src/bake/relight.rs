@@ -6,7 +6,7 @@
 
 use crate::PbgiError;
 use crate::progress::Phase;
-use crate::shade::{CHUNK_RECEIVERS, EnvironmentSpec, LoadedEnvironment};
+use crate::shade::{EnvironmentSpec, LoadedEnvironment};
 use pbgi_build::{Piece, PieceSource, PieceTask, SortedStream, StreamError};
 use pbgi_cloud::Surfel;
 use pbgi_gather::{GatherSettings, PreparedLight, Receiver, Shading};
@@ -94,6 +94,9 @@ const BOUND_DIRECTIONS: usize = 200;
 /// Irradiance varies slowly: no direction exceeds the best of 200 by more than this, and the gather,
 /// which resolves the environment only coarsely, does not exceed the truth by more.
 const BOUND_MARGIN: f32 = 1.05 * 1.5;
+
+/// Surfels that are shaded at once. Records are shared within them, so that their number must not follow the memory limit; the least limit holds them.
+pub(crate) const CHUNK_SURFELS: usize = 1 << 13;
 
 /// What the gather needs of the environment, and bounds.
 pub(crate) struct Light {
@@ -259,11 +262,10 @@ impl<'a> RelitStream<'a> {
 
 impl SortedStream for RelitStream<'_> {
     fn read_chunk(&mut self, out: &mut Vec<(MortonCode, Surfel)>) -> Result<bool, StreamError> {
-        while !self.is_read && self.ahead.len() < CHUNK_RECEIVERS {
+        while !self.is_read && self.ahead.len() < CHUNK_SURFELS {
             self.is_read = !self.sorted.read_chunk(&mut self.ahead).map_err(PbgiError::from)?;
         }
-        // Records are shared within a chunk: its size must not follow the memory limit.
-        let count = self.ahead.len().min(CHUNK_RECEIVERS);
+        let count = self.ahead.len().min(CHUNK_SURFELS);
         let shadings = self.shade(count)?;
         for ((code, mut surfel), shading) in self.ahead.drain(..count).zip(&shadings) {
             surfel.radiance = lit_radiance(&surfel, shading, self.pass.radiance_bound);

@@ -1,9 +1,9 @@
 //! How a bake divides its memory limit.
 
 use crate::PbgiError;
+use crate::bake::relight::CHUNK_SURFELS;
 use crate::budget::split::{limit_beside_nodes, node_bytes_held};
 use crate::figures::format_bytes;
-use crate::shade::CHUNK_RECEIVERS;
 use pbgi_build::BuildOptions;
 use pbgi_file::platform::resident_bytes;
 use pbgi_schedule::RECORD_BYTES;
@@ -47,7 +47,7 @@ impl BakeMemory {
     pub fn reserve(&self) -> u64 {
         let mut bytes = BUILD_BYTES + MARGIN_BYTES + self.threads as u64 * THREAD_BYTES;
         if self.lights {
-            bytes += CHUNK_RECEIVERS as u64 * SHADED_SURFEL_BYTES;
+            bytes += CHUNK_SURFELS as u64 * SHADED_SURFEL_BYTES;
         }
         bytes + self.node_bytes()
     }

@@ -24,7 +24,7 @@ use pbgi_image::{
     write_png, write_windowed_exr,
 };
 use pbgi_math::{Aabb, DVec3};
-use pbgi_scene::{CameraView, HideOptions, Micropolygon, PixelWindow, Scene, hide};
+use pbgi_scene::{CameraView, HideError, HideOptions, Micropolygon, PixelWindow, Scene, hide};
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -149,6 +149,10 @@ impl<'a> FrameJob<'a> {
     fn prepare(request: &'a FrameRequest<'a>, cancel: &'a AtomicBool) -> Result<Self, PbgiError> {
         let start = Instant::now();
         let settings = &request.settings;
+        let rate = request.shading_rate;
+        if !(rate > 0.0 && rate.is_finite()) {
+            return Err(HideError::ShadingRate { rate }.into());
+        }
         let header = read_header(request.octree)?;
         let environment = settings.load_environment(&header)?;
         let split = MemorySplit::measure(settings);

@@ -90,7 +90,7 @@ fn mix(index: u64) -> u64 {
 }
 
 /// Error of a result against the exhaustive gather of the same receivers (solid angle 0, same
-/// raster): the error of the cut. See [`pbgi_image::ErrorMetrics`] for the measures.
+/// raster): that of the cut and of interpolation. See [`pbgi_image::ErrorMetrics`] for the measures.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CheckReport {
     /// Receivers gathered again.

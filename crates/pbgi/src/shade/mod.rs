@@ -271,6 +271,9 @@ impl Default for ShadeSettings {
 }
 
 impl ShadeSettings {
+    /// The `interpolation` that programs use where none is asked for.
+    pub const USUAL_INTERPOLATION: f32 = 0.1;
+
     /// Checks the ranges of all numbers.
     ///
     /// # Errors

@@ -11,7 +11,7 @@ use serde::Serialize;
 pub struct CutReport {
     /// Batches handed to workers.
     pub batches: u64,
-    /// Receivers gathered, those of shared gathers more than once.
+    /// Receivers gathered; the others were interpolated.
     pub gathers: u64,
     /// Entries of a cut: mean, standard deviation, smallest and largest.
     pub size_mean: f64,

@@ -57,9 +57,6 @@ const SKY_COLUMNS: usize = 2048;
 const SOLID_ANGLE_SR: f32 = 0.08;
 const RASTER_EDGE: usize = 8;
 
-/// What interpolation of light may add to errors.
-const INTERPOLATION: f32 = 0.1;
-
 /// Largest solid angle of a node where surfels are lit.
 const BAKE_SOLID_ANGLE_SR: f32 = 1.0;
 
@@ -145,7 +142,7 @@ impl Demo {
                 memory_bytes: self.common.memory_limit,
                 solid_angle_sr: self.solid_angle_sr,
                 raster_edge: self.raster_edge,
-                interpolation: INTERPOLATION,
+                interpolation: ShadeSettings::USUAL_INTERPOLATION,
                 ..ShadeSettings::default()
             },
         };
@@ -185,7 +182,7 @@ impl Demo {
             sampling: Sampling::Surfels(self.surfels),
             light: LightRequest {
                 environment: Some(EnvironmentSpec::from_file(sky)),
-                interpolation: INTERPOLATION,
+                interpolation: ShadeSettings::USUAL_INTERPOLATION,
                 solid_angle_sr: BAKE_SOLID_ANGLE_SR,
                 ..LightRequest::default()
             },
