@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// Minutes per target where none are given.
-const MINUTES: u64 = 5;
+const MINUTES: f64 = 5.0;
 
 /// What makes code tell the fuzzer where it has been.
 const COVERAGE: &str = "--cfg fuzzing -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
@@ -19,8 +19,8 @@ const LIMITS: [&str; 2] = ["-timeout=10", "-rss_limit_mb=2048"];
 pub fn run(workspace: &Workspace, arguments: &[&str]) -> Result<(), String> {
     let (minutes, names) = match arguments {
         ["--minutes", minutes, names @ ..] => {
-            let minutes = minutes.parse();
-            (minutes.map_err(|_| "--minutes wants a whole number".to_owned())?, names)
+            let minutes = minutes.parse().ok().filter(|minutes| (0.1..=1e4).contains(minutes));
+            (minutes.ok_or("--minutes wants a number from 0.1 to 10000")?, names)
         }
         names => (MINUTES, names),
     };
@@ -63,7 +63,7 @@ fn search(
     program: &Path,
     seeds: &Path,
     name: &str,
-    minutes: u64,
+    minutes: f64,
 ) -> Result<(), String> {
     let fuzz = workspace.target().join("fuzz");
     let (corpus, findings) = (fuzz.join("corpus").join(name), fuzz.join("findings"));
@@ -73,7 +73,7 @@ fn search(
     let dictionary = workspace.root().join("fuzz").join("dictionaries").join(dictionary_of(name));
     let mut command = Command::new(program);
     command.env("PBGI_FUZZ_TARGET", name).args(LIMITS);
-    command.arg(format!("-max_total_time={}", 60 * minutes));
+    command.arg(format!("-max_total_time={:.0}", 60.0 * minutes));
     command.arg(format!("-dict={}", dictionary.display()));
     command.arg(format!("-artifact_prefix={}/{name}-", findings.display()));
     command.args(["-print_final_stats=1", "-close_fd_mask=1"]).arg(corpus).arg(seeds.join(name));
