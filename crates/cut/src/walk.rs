@@ -123,8 +123,8 @@ pub struct CutScratch {
 ///
 /// In order, for each node: wholly below the receiver's horizon, it is dropped; all it could touch opaque, it is dropped with everything
 /// below it, whose pages are never read; small enough for `threshold`, it is taken as one; a leaf
-/// gives its surfels, nearest first; else the walk descends. Of surfels that share a Morton code beyond the size of a leaf, those that look like others
-/// of them are behind these, and dropped with everything below. Seen from any point, an octant whose
+/// gives its surfels, nearest first; else the walk descends. Of surfels that share a Morton code, more than a leaf holds, those that look
+/// like others of them are behind these, and dropped with everything below. Seen from any point, an octant whose
 /// index differs from the receiver's own octant in fewer planes is never behind one that differs in
 /// those and more: visiting `step XOR own` in ascending `step` is front to back. What
 /// lies in damaged pages that are skipped counts as nothing; the root's page is never skipped.
