@@ -8,6 +8,7 @@ mod invariances;
 mod leaks;
 mod lights;
 mod octree_file;
+mod one_place;
 mod own_surface;
 mod records;
 mod reflections;
