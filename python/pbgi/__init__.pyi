@@ -44,7 +44,7 @@ def bake(
     env_rotate: float = 0.0,
     env_scale: float = 1.0,
     bounces: int = 0,
-    bounce_interpolation: float = 0.1,
+    bounce_share: int = 1,
     up: Literal["y", "z"] | None = None,
     threads: int | None = None,
     temp_dir: _Path | None = None,

@@ -47,7 +47,7 @@ pub struct BakeSettings {
     threads: usize,
     env: Light,
     bounces: u32,
-    bounce_interpolation: f32,
+    bounce_share: usize,
     up: Option<String>,
     temp_dir: Option<PathBuf>,
     force: bool,
@@ -86,7 +86,7 @@ impl BakeSettings {
             light: LightRequest {
                 environment: self.env.spec()?,
                 bounces: self.bounces,
-                interpolation: self.bounce_interpolation,
+                share: self.bounce_share,
                 ..LightRequest::default()
             },
             temp_dir: self.temp_dir,

@@ -20,7 +20,7 @@ const FIRST_ORDER_MAX: f32 = 0.7;
 const STEP_SLOPE: f32 = 0.05;
 
 /// Steps by which a reach is made shorter at most, where things loom.
-const REACH_STEPS: u32 = 20;
+const REACH_STEPS: u32 = 12;
 
 /// Share of the mean that is added to what errors are relative to, so that what is all but black does not rule: as where errors are measured.
 const LEAST_SHARE: f32 = 0.1;
@@ -105,15 +105,16 @@ impl Record {
         let rise = rise(0).min(rise(1));
         let mut reach = rise / COHERENCE.max(tolerance.share / FIRST_ORDER_MAX);
         let light = light(&values);
-        let is_too_far = |reach: f32| {
-            let errors = looming(reach, light);
-            errors.iter().zip(scales).any(|(error, scale)| *error > tolerance.share * scale)
-        };
         for _ in 0..REACH_STEPS {
-            if !is_too_far(reach) {
+            let errors = looming(reach, light);
+            let excess =
+                |i: usize| errors[i] / (tolerance.share * scales[i]).max(f32::MIN_POSITIVE);
+            let excess = excess(0).max(excess(1));
+            if excess <= 1.0 {
                 break;
             }
-            reach *= 0.7;
+            // What looms grows with the square of the distance, or faster.
+            reach *= excess.sqrt().recip().clamp(0.05, 0.9);
         }
         Self {
             position: receiver.position,

@@ -128,9 +128,9 @@ struct LightArgs {
     /// Texels along a face of the cube raster
     #[arg(long, value_name = "N", default_value_t = 6)]
     bounce_raster: usize,
-    /// Error that interpolation between surfels may add at most; 0 gathers for each
-    #[arg(long, value_name = "SHARE", value_parser = cli::parse_share_or_none, default_value = "10%")]
-    bounce_interpolation: f32,
+    /// Most neighbors on one surface that share a gather; 1 gathers for each
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    bounce_share: usize,
 }
 
 /// Layout of the file.
@@ -223,7 +223,7 @@ impl BakeArgs {
                 bounces: light.bounces,
                 solid_angle_sr: light.bounce_solid_angle,
                 raster_edge: light.bounce_raster,
-                interpolation: light.bounce_interpolation,
+                share: light.bounce_share,
             },
             resume: self.resume,
             temp_dir: self.temp_dir.clone(),

@@ -5,13 +5,14 @@
 //! order of the file; threads, memory and cache never change the result.
 
 use crate::PbgiError;
+use crate::bake::share::{Shared, cell_len};
 use crate::progress::Phase;
-use crate::shade::{EnvironmentSpec, LoadedEnvironment};
+use crate::shade::{CHUNK_RECEIVERS, EnvironmentSpec, LoadedEnvironment};
 use pbgi_build::{Piece, PieceSource, PieceTask, SortedStream, StreamError};
 use pbgi_cloud::Surfel;
 use pbgi_gather::{GatherSettings, PreparedLight, Receiver, Shading};
 use pbgi_math::{MortonCode, Vec3};
-use pbgi_schedule::{Feed, KeptRecords, ShadeOptions, shade_stream};
+use pbgi_schedule::{ShadeOptions, shade_receivers};
 use pbgi_sort::{SortedPiece, SortedSurfels};
 use pbgi_store::Octree;
 use std::f32::consts::PI;
@@ -28,8 +29,8 @@ pub struct LightRequest {
     pub solid_angle_sr: f32,
     /// Texels along a face of the cube raster, 1 to 64.
     pub raster_edge: usize,
-    /// Share of the light of a surfel that interpolating it between neighbors may be wrong by, 0..=1; 0 gathers for each surfel by itself.
-    pub interpolation: f32,
+    /// Most neighbors on one surface that share a gather, 1 to 256; 1 gathers for every surfel.
+    pub share: usize,
 }
 
 /// Most bounces: light that passed between surfaces that often is not seen.
@@ -37,13 +38,7 @@ pub const BOUNCES_MAX: u32 = 64;
 
 impl Default for LightRequest {
     fn default() -> Self {
-        Self {
-            environment: None,
-            bounces: 0,
-            solid_angle_sr: 0.2,
-            raster_edge: 6,
-            interpolation: 0.0,
-        }
+        Self { environment: None, bounces: 0, solid_angle_sr: 0.2, raster_edge: 6, share: 1 }
     }
 }
 
@@ -72,10 +67,10 @@ impl LightRequest {
                 self.solid_angle_sr
             )));
         }
-        if !(0.0..=1.0).contains(&self.interpolation) {
+        if !(1..=256).contains(&self.share) {
             return Err(PbgiError::usage(format!(
-                "--bounce-interpolation {} is out of range; expected a share from 0 to 1",
-                self.interpolation
+                "--bounce-share {} is out of range; expected 1 to 256 surfels",
+                self.share
             )));
         }
         if !(1..=64).contains(&self.raster_edge) {
@@ -95,9 +90,6 @@ const BOUND_DIRECTIONS: usize = 200;
 /// which resolves the environment only coarsely, does not exceed the truth by more.
 const BOUND_MARGIN: f32 = 1.05 * 1.5;
 
-/// Surfels that are shaded at once. Records are shared within them, so that their number must not follow the memory limit; the least limit holds them.
-pub(crate) const CHUNK_SURFELS: usize = 1 << 13;
-
 /// What the gather needs of the environment, and bounds.
 pub(crate) struct Light {
     pub settings: GatherSettings,
@@ -105,6 +97,8 @@ pub(crate) struct Light {
     /// No surfel receives more from the environment, W·m⁻².
     irradiance_max: f32,
     bounces: u32,
+    /// Most surfels that share a gather.
+    pub share: usize,
     /// What of the environment's file was left out or read differently.
     pub warnings: Vec<String>,
 }
@@ -117,14 +111,13 @@ impl Light {
             solid_angle_sr: request.solid_angle_sr,
             raster_edge: request.raster_edge,
             up,
-            tolerance: request.interpolation,
             ..GatherSettings::default()
         };
-        let bounces = request.bounces;
+        let (bounces, share) = (request.bounces, request.share);
         let Some(spec) = &request.environment else {
             let warnings = Vec::new();
             let (environment, irradiance_max) = (None, 0.0);
-            return Ok(Self { settings, environment, irradiance_max, bounces, warnings });
+            return Ok(Self { settings, environment, irradiance_max, bounces, share, warnings });
         };
         let LoadedEnvironment { environment, warnings } = spec.load(z_up, memory_limit)?;
         let irradiance_max = spread_directions(BOUND_DIRECTIONS)
@@ -135,6 +128,7 @@ impl Light {
             environment: Some(PreparedLight::new(&environment, request.raster_edge)),
             irradiance_max: irradiance_max * BOUND_MARGIN,
             bounces,
+            share,
             warnings,
         })
     }
@@ -191,8 +185,8 @@ pub(crate) struct RelitStream<'a> {
     /// Sorted surfels read, yet to be shaded.
     ahead: Vec<(MortonCode, Surfel)>,
     is_read: bool,
-    /// Records of the surfels shaded last.
-    records: KeptRecords,
+    /// Code of the last surfel handed on.
+    previous: Option<MortonCode>,
     done: u64,
     /// Gathers so far.
     pub gathers: u64,
@@ -219,60 +213,66 @@ impl<'a> RelitStream<'a> {
             pass,
             ahead: Vec::new(),
             is_read: false,
-            records: KeptRecords::default(),
+            previous: None,
             done: 0,
             gathers: 0,
             radiance_max: 0.0,
         }
     }
 
-    /// Shades the first `count` surfels that are read.
-    fn shade(&mut self, count: usize) -> Result<Vec<Shading>, PbgiError> {
+    /// Divides the surfels read into cells that share, as far as none can reach beyond them.
+    fn share(&mut self) -> Shared {
+        let most = self.pass.light.share;
+        let mut shared = Shared::default();
+        loop {
+            let rest = &self.ahead[shared.place.len()..];
+            if rest.is_empty() || (rest.len() <= most && !self.is_read) {
+                return shared;
+            }
+            let len = cell_len(rest, self.previous, most);
+            self.previous = Some(rest[len - 1].0);
+            shared.add_cell(&rest[..len], most);
+        }
+    }
+
+    fn shade(&self, Shared { chosen, place }: &Shared) -> Result<Vec<Shading>, PbgiError> {
         let PassSettings { light, octree, .. } = self.pass;
         let up = light.settings.up;
-        let receiver = |(_, surfel): &(MortonCode, Surfel)| {
+        let receiver = |&index: &u32| {
+            let surfel = &self.ahead[index as usize].1;
             let normal = if surfel.is_isotropic() { up } else { surfel.normal() };
             Receiver::diffuse(surfel.center(), normal)
         };
-        let receivers: Vec<Receiver> = self.ahead[..count].iter().map(receiver).collect();
-        let (phase, before) = (self.pass.phase, self.done);
+        let receivers: Vec<Receiver> = chosen.iter().map(receiver).collect();
+        // Surfels done with each receiver, on average.
+        let surfels = |done: u64| done * place.len() as u64 / chosen.len().max(1) as u64;
         let options = ShadeOptions {
             gather: light.settings,
             threads: self.pass.threads,
             cancel: self.pass.cancel,
-            progress: &|done| phase.set_done(before + done),
+            progress: &|done| self.pass.phase.set_done(self.done + surfels(done)),
             ..ShadeOptions::default()
         };
-        let mut shadings = Vec::new();
-        let report = shade_stream(
-            octree,
-            light.environment.as_ref(),
-            &options,
-            &mut self.records,
-            |feed: &mut Feed<'_, '_, (), PbgiError>| feed.push(receivers.into(), ()),
-            |chunk| {
-                shadings = chunk.shadings;
-                Ok(())
-            },
-        )?;
-        self.gathers += report.cut_sizes.count;
-        Ok(shadings)
+        Ok(shade_receivers(octree, light.environment.as_ref(), &receivers, &options)?.0)
     }
 }
 
 impl SortedStream for RelitStream<'_> {
     fn read_chunk(&mut self, out: &mut Vec<(MortonCode, Surfel)>) -> Result<bool, StreamError> {
-        while !self.is_read && self.ahead.len() < CHUNK_SURFELS {
+        while !self.is_read && self.ahead.len() < CHUNK_RECEIVERS {
             self.is_read = !self.sorted.read_chunk(&mut self.ahead).map_err(PbgiError::from)?;
         }
-        let count = self.ahead.len().min(CHUNK_SURFELS);
-        let shadings = self.shade(count)?;
-        for ((code, mut surfel), shading) in self.ahead.drain(..count).zip(&shadings) {
+        let shared = self.share();
+        let shadings = self.shade(&shared)?;
+        for ((code, mut surfel), place) in self.ahead.drain(..shared.place.len()).zip(&shared.place)
+        {
+            let shading = &shadings[*place as usize];
             surfel.radiance = lit_radiance(&surfel, shading, self.pass.radiance_bound);
             self.radiance_max = surfel.radiance.iter().fold(self.radiance_max, |m, &c| m.max(c));
             out.push((code, surfel));
         }
-        self.done += count as u64;
+        self.done += shared.place.len() as u64;
+        self.gathers += shared.chosen.len() as u64;
         self.pass.phase.set_done(self.done);
         Ok(!(self.is_read && self.ahead.is_empty()))
     }
@@ -344,7 +344,7 @@ mod tests {
             LightRequest { bounces: 65, ..good.clone() },
             LightRequest { solid_angle_sr: f32::NAN, ..good.clone() },
             LightRequest { raster_edge: 0, ..good.clone() },
-            LightRequest { interpolation: 1.5, ..good.clone() },
+            LightRequest { share: 0, ..good.clone() },
         ] {
             assert_eq!(bad.check().unwrap_err().exit_code(), crate::EXIT_MISUSED);
         }

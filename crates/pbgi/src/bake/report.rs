@@ -105,7 +105,7 @@ pub struct PhaseReport {
     pub seconds: f64,
     /// Surfels per second.
     pub surfels_per_second: f64,
-    /// Gathers of a pass of light: as many as surfels, or fewer where light is interpolated (`--bounce-interpolation`).
+    /// Gathers of a pass of light: as many as surfels, or fewer where neighbors share them (`--bounce-share`).
     pub gathers: Option<u64>,
 }
 

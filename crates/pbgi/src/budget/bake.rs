@@ -1,12 +1,11 @@
 //! How a bake divides its memory limit.
 
 use crate::PbgiError;
-use crate::bake::relight::CHUNK_SURFELS;
 use crate::budget::split::{limit_beside_nodes, node_bytes_held};
 use crate::figures::format_bytes;
+use crate::shade::CHUNK_RECEIVERS;
 use pbgi_build::BuildOptions;
 use pbgi_file::platform::resident_bytes;
-use pbgi_schedule::RECORD_BYTES;
 use pbgi_sort::BUDGET_BYTES_MIN;
 use pbgi_store::PIN_BYTES_PER_READER_MIN;
 
@@ -18,8 +17,8 @@ const BUILD_BYTES: u64 = 16 << 20;
 const THREAD_BYTES: u64 = 1 << 20;
 /// What the allocator keeps for itself, and small things.
 const MARGIN_BYTES: u64 = 4 << 20;
-/// A surfel being shaded: itself and its code, receiver, order, result twice, and its irradiance record.
-const SHADED_SURFEL_BYTES: u64 = 256 + RECORD_BYTES as u64;
+/// A surfel being shaded: itself and its code, receiver, order, result twice.
+const SHADED_SURFEL_BYTES: u64 = 256;
 
 /// Bytes of the page cache of a program that only reads an octree.
 pub(crate) fn reader_cache_bytes(limit: u64) -> u64 {
@@ -47,7 +46,7 @@ impl BakeMemory {
     pub fn reserve(&self) -> u64 {
         let mut bytes = BUILD_BYTES + MARGIN_BYTES + self.threads as u64 * THREAD_BYTES;
         if self.lights {
-            bytes += CHUNK_SURFELS as u64 * SHADED_SURFEL_BYTES;
+            bytes += CHUNK_RECEIVERS as u64 * SHADED_SURFEL_BYTES;
         }
         bytes + self.node_bytes()
     }

@@ -133,18 +133,18 @@ fn bounces_add_light_to_a_room_with_a_lamp() {
 }
 
 #[test]
-fn interpolated_light_depends_on_no_budget_and_keeps_the_light() {
+fn shared_gathers_depend_on_no_chunk_and_keep_the_light() {
     let bench = Bench::new();
-    let bake = |error, memory| {
+    let bake = |share, memory| {
         let args = ["demo:room?surfels=40k", "--bounces", "1", "--force", "--memory-limit", memory];
-        let flux =
-            bench.bake(&[&args[..], &["--bounce-interpolation", error]].concat(), "room.pbgi");
+        let flux = bench.bake(&[&args[..], &["--bounce-share", share]].concat(), "room.pbgi");
         (bench.read("room.pbgi"), flux.flux_total[1])
     };
-    let (small, flux) = bake("10%", "100MiB");
-    let (large, _) = bake("10%", "1GiB");
+    // Limits below 256 MiB shade smaller chunks.
+    let (small, flux) = bake("16", "100MiB");
+    let (large, _) = bake("16", "1GiB");
     assert!(small == large);
-    let (_, exact) = bake("0", "1GiB");
+    let (_, exact) = bake("1", "1GiB");
     assert!((flux / exact - 1.0).abs() < 0.01, "{flux} {exact}");
 }
 

@@ -57,6 +57,10 @@ const SKY_COLUMNS: usize = 2048;
 const SOLID_ANGLE_SR: f32 = 0.08;
 const RASTER_EDGE: usize = 8;
 
+/// Neighbors on one surface that share a gather when the surfels are lit: their light is only seen
+/// reflected by others.
+const SHARE: usize = 256;
+
 /// Largest solid angle of a node where surfels are lit.
 const BAKE_SOLID_ANGLE_SR: f32 = 1.0;
 
@@ -182,7 +186,7 @@ impl Demo {
             sampling: Sampling::Surfels(self.surfels),
             light: LightRequest {
                 environment: Some(EnvironmentSpec::from_file(sky)),
-                interpolation: ShadeSettings::USUAL_INTERPOLATION,
+                share: SHARE,
                 solid_angle_sr: BAKE_SOLID_ANGLE_SR,
                 ..LightRequest::default()
             },
