@@ -10,13 +10,19 @@ use std::f32::consts::PI;
 pub const QUANTITIES: usize = 8;
 
 /// Of the quantities, those that are light.
-const LIGHT: std::ops::Range<usize> = 0..6;
+pub const LIGHT: std::ops::Range<usize> = 0..6;
 
 /// Index of ambient occlusion.
-const OCCLUSION: usize = 6;
+pub const OCCLUSION: usize = 6;
 
 /// Index of sky visibility.
-const SKY: usize = 7;
+pub const SKY: usize = 7;
+
+/// Share of what is around that comes nearer when a receiver moves any way: what lies behind it recedes.
+const APPROACHED: f32 = 0.5;
+
+/// Share of the distance to a thing at which it is near enough for anything: what looms is not followed farther.
+const NEARNESS_MIN: f32 = 0.05;
 
 /// The border between two texels.
 #[derive(Clone, Copy, Debug)]
@@ -138,14 +144,14 @@ impl Differentiator {
     pub fn looming(&self, distance: f32, mean: f32) -> [f32; 2] {
         let mut sums = [0.0; 2];
         for thing in &self.looming {
-            let nearness = larger(1.0 - distance * thing.inverse_distance, 0.05);
+            let nearness = larger(1.0 - distance * thing.inverse_distance, NEARNESS_MIN);
             let start = thing.tan2 + 1.0;
             let grown = start / (thing.tan2 + nearness * nearness);
             let more = larger(grown - 1.0 - 2.0 * (1.0 - nearness) / start, 0.0);
             sums[0] += thing.weights[0] * more;
             sums[1] += larger(thing.weights[1], thing.weights[0] * mean) * more;
         }
-        sums.map(|sum| 0.5 * sum)
+        sums.map(|sum| APPROACHED * sum)
     }
 
     /// Reads a raster's texels, and sums how they turn.
@@ -190,14 +196,11 @@ impl Differentiator {
                 if self.nearest[index] > 0.0 {
                     let length = vector.length();
                     let sine = vector.dot(plane) / length;
-                    let projected = larger(vector.dot(normal), 0.0);
+                    let hidden = larger(vector.dot(normal), 0.0) * (1.0 - open);
                     let brightness = values[LIGHT].iter().sum::<f32>();
                     let direction = vector / length;
                     self.looming.push(Looming {
-                        weights: [
-                            projected * (1.0 - open) / PI,
-                            projected * (1.0 - open) * brightness,
-                        ],
+                        weights: [hidden / PI, hidden * brightness],
                         inverse_distance: self.nearest[index] * direction.abs().max_element(),
                         tan2: sine * sine / larger(1.0 - sine * sine, 1e-6),
                     });
@@ -246,27 +249,25 @@ mod tests {
 
     const EDGE: usize = 32;
 
-    /// What a receiver of a normal gathers beside a wall, wide without end, whose edge is `height` above it, at a distance; and how that changes.
-    fn beside_wall(normal: Vec3, distance: f32, height: f32) -> (Diffuse, Differential) {
+    /// What a receiver of a normal gathers beside a wall at distance 1, wide without end, whose edge is `height` above it; how that changes, and by what
+    /// it was found.
+    fn beside_wall(normal: Vec3, height: f32) -> (Diffuse, Differential, Differentiator) {
         let table = CubeRasterTable::new(EDGE);
         let sums = ConvolutionTable::new(&table, Vec3::Z);
         let mut raster = CubeRaster::new(&table, true);
-        let low = Vec3::new(distance - 0.001, -2000.0, -2000.0);
-        // Planes lie at distance 1: the box cuts the wall out of x = 1, or its picture at that distance.
-        let scale = 1.0 / distance;
-        let high = Vec3::new(distance + 0.001, 2000.0, height);
-        let wall = (Vec3::X, low * scale, high * scale);
-        run_wide(SimdLevel::Baseline, Draw(&mut raster, normal, &[wall]));
+        let [low, high] = [Vec3::new(0.999, -2000.0, -2000.0), Vec3::new(1.001, 2000.0, height)];
+        run_wide(SimdLevel::Baseline, Draw(&mut raster, normal, &[(Vec3::X, low, high)]));
         let found = convolve_diffuse(&raster, &sums, None, [normal; 2]);
         let mut differentiator = Differentiator::new(&table, Vec3::Z);
-        (found, differentiator.differentiate(&raster, None, [normal; 2]))
+        let differential = differentiator.differentiate(&raster, None, [normal; 2]);
+        (found, differential, differentiator)
     }
 
     /// The wall hides (1 − 1/√(1 + h²))/2 of the hemisphere where it is h times as high as far; in units of its distance.
     #[test]
     fn moving_toward_a_wall_hides_what_it_should() {
         for height in [0.3, 0.7, 1.0, 2.5] {
-            let (_, found) = beside_wall(Vec3::Z, 1.0, height);
+            let (_, found, _) = beside_wall(Vec3::Z, height);
             let slope = -0.5 * height * height / (1.0 + height * height).powf(1.5);
             let moved = found.translation[OCCLUSION];
             assert!(
@@ -288,10 +289,10 @@ mod tests {
 
     #[test]
     fn turning_changes_what_it_should() {
-        let (before, found) = beside_wall(Vec3::Z, 1.0, 1.0);
+        let (before, found, _) = beside_wall(Vec3::Z, 1.0);
         for turn in [-0.05f32, 0.05] {
             let normal = Vec3::new(turn.sin(), 0.0, turn.cos());
-            let (after, _) = beside_wall(normal, 1.0, 1.0);
+            let (after, ..) = beside_wall(normal, 1.0);
             let expected =
                 before.ambient_occlusion + found.rotation[OCCLUSION].dot(normal - Vec3::Z);
             let error = expected - after.ambient_occlusion;
@@ -305,12 +306,7 @@ mod tests {
     #[test]
     fn what_is_low_looms() {
         let height = 0.1f32;
-        let table = CubeRasterTable::new(EDGE);
-        let mut raster = CubeRaster::new(&table, true);
-        let wall = (Vec3::X, Vec3::new(0.999, -2000.0, -1.0), Vec3::new(1.001, 2000.0, height));
-        run_wide(SimdLevel::Baseline, Draw(&mut raster, Vec3::Z, &[wall]));
-        let mut differentiator = Differentiator::new(&table, Vec3::Z);
-        let _ = differentiator.differentiate(&raster, None, [Vec3::Z; 2]);
+        let (_, _, differentiator) = beside_wall(Vec3::Z, height);
         let hidden = |h: f32| 0.5 * (1.0 - 1.0 / (1.0 + h * h).sqrt());
         let slope = 0.5 * height * height / (1.0 + height * height).powf(1.5);
         let truth = hidden(2.0 * height) - hidden(height) - 0.5 * slope;

@@ -9,7 +9,7 @@ mod diffuse;
 mod ggx;
 mod material;
 
-pub use differential::{Differential, Differentiator, QUANTITIES};
+pub use differential::{Differential, Differentiator, LIGHT, OCCLUSION, QUANTITIES, SKY};
 pub use diffuse::{ConvolutionTable, Diffuse, EnvironmentTexels, convolve_diffuse};
 pub use ggx::{GgxLobe, LobeDirections, LobePattern};
 pub use material::Material;

@@ -191,12 +191,6 @@ impl<'a> Gatherer<'a> {
         gathered
     }
 
-    /// Its settings.
-    #[must_use]
-    pub fn settings(&self) -> &GatherSettings {
-        &self.settings
-    }
-
     /// Adds sharp light to what a receiver has of broad light.
     ///
     /// # Errors

@@ -2,7 +2,7 @@
 //! Clear 1988; Ward and Heckbert 1992).
 
 use crate::receiver::{Receiver, Shading};
-use pbgi_brdf::{Differential, QUANTITIES};
+use pbgi_brdf::{Differential, LIGHT, OCCLUSION, QUANTITIES, SKY};
 use pbgi_math::Vec3;
 
 /// Error of an extrapolation over what all borders between texels would change if each changed it for the better.
@@ -18,6 +18,10 @@ const FIRST_ORDER_MAX: f32 = 0.7;
 /// Slope of the way from a record to a receiver, over the mean of their planes, at which they are not on one surface: what is below a record's horizon
 /// it does not see, be it a roof's record and all that is beside the house. Half of it gathers more on rough ground; twice lets curbs through.
 const STEP_SLOPE: f32 = 0.05;
+
+/// Mismatch over the tolerance up to which two records agree however near they are: it is the raster's and the cut's own. Half of it lets records reach
+/// half as far where cuts change; twice lets what no raster saw be twice as wrong.
+const OWN_ERROR: f32 = 0.5;
 
 /// Steps by which a reach is made shorter at most, where things loom.
 const REACH_STEPS: u32 = 12;
@@ -40,7 +44,7 @@ impl Tolerance {
     pub fn new(share: f32, sample: &[Shading]) -> Self {
         let mut sums = [0.0f64; 2];
         for values in sample.iter().map(quantities) {
-            sums[0] += f64::from(values[6]);
+            sums[0] += f64::from(values[OCCLUSION]);
             sums[1] += f64::from(light(&values));
         }
         let count = sample.len().max(1) as f64;
@@ -50,22 +54,16 @@ impl Tolerance {
         Self { share, least: [openness, light].map(|mean| LEAST_SHARE * mean) }
     }
 
-    /// The share.
-    #[must_use]
-    pub fn share(&self) -> f32 {
-        self.share
-    }
-
     /// What errors of occlusion and of light are relative to.
     fn scales(&self, values: &[f32; QUANTITIES]) -> [f32; 2] {
-        [values[6] + self.least[0], light(values) + self.least[1]]
+        [values[OCCLUSION] + self.least[0], light(values) + self.least[1]]
     }
 }
 
 /// Sum of all irradiance.
 #[inline]
 fn light(values: &[f32; QUANTITIES]) -> f32 {
-    values[..6].iter().sum()
+    values[LIGHT].iter().sum()
 }
 
 /// What a receiver has gathered of broad light, and how that changes when it moves and turns.
@@ -187,11 +185,11 @@ impl Record {
             return self.reach;
         }
         let expected = self.at(other.position, other.normal);
-        let mismatches = [expected[6] - other.values[6], light(&expected) - light(&other.values)];
+        let openness = expected[OCCLUSION] - other.values[OCCLUSION];
+        let mismatches = [openness, light(&expected) - light(&other.values)];
         let share = |i: usize| mismatches[i].abs() / self.scales[i].min(other.scales[i]);
         let mismatch = if self.scales[1] > 0.0 { share(0).max(share(1)) } else { share(0) };
-        // Below half of the tolerance it is the raster's own.
-        if mismatch <= tolerance.share * expected_error.max(0.5) {
+        if mismatch <= tolerance.share * expected_error.max(OWN_ERROR) {
             return self.reach;
         }
         self.reach.min(self.position.distance(other.position) * tolerance.share / mismatch)
@@ -203,6 +201,7 @@ impl Record {
     }
 }
 
+/// What is differentiated of a shading, in the order of `pbgi_brdf`.
 fn quantities(shading: &Shading) -> [f32; QUANTITIES] {
     let Shading { surface_irradiance: s, environment_irradiance: e, .. } = shading;
     [s[0], s[1], s[2], e[0], e[1], e[2], shading.ambient_occlusion, shading.sky_visibility]
@@ -242,8 +241,8 @@ impl Blend {
         Some(Shading {
             surface_irradiance: [v[0], v[1], v[2]],
             environment_irradiance: [v[3], v[4], v[5]],
-            ambient_occlusion: v[6].min(1.0),
-            sky_visibility: v[7].min(1.0),
+            ambient_occlusion: v[OCCLUSION].min(1.0),
+            sky_visibility: v[SKY].min(1.0),
             bent_normal: self.bent_normal.try_normalize().unwrap_or(receiver.normal),
             ..Shading::default()
         })

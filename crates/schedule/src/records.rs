@@ -2,7 +2,7 @@
 //!
 //! A chunk is shaded in three steps, each by all workers. Runs of neighbors along the Morton curve are covered with records, each run by itself, from
 //! coarse to fine. Records are limited to where those around agree with them, whatever run made them. Then each receiver takes the mean of what the
-//! records around it say, and gathers only where none serves. So results depend on the chunk and on the one before it, and on nothing else.
+//! records around it say, and gathers only where none serves. So results depend on the chunk and on those before it, and on nothing else.
 
 use crate::shade::{ScheduleError, ShadeOptions, ShadeReport, morton_order};
 use crate::spread::Spread;
@@ -40,7 +40,7 @@ pub const RECORD_BYTES: usize = {
 
 /// Records of the chunks before, for the one that follows.
 #[derive(Debug, Default)]
-pub struct KeptRecords(Vec<Records>);
+pub struct KeptRecords(Pool);
 
 /// Shades receivers chunk by chunk with records.
 pub(crate) struct RecordShader<'a, 'o, 'k> {
@@ -105,8 +105,9 @@ impl<'a, 'o, 'k> RecordShader<'a, 'o, 'k> {
             let before = halves.fetch_add(count as u64, Ordering::Relaxed);
             (self.options.progress)((before + count as u64) / 2);
         };
-        let kept = Pool { parts: std::mem::take(&mut self.kept.0) };
+        let kept = std::mem::take(&mut self.kept.0);
         let mut records = Pool { parts: vec![kept.within(receivers, &order)] };
+        drop(kept);
         let (options, workers) = (self.options, &mut self.workers);
         let sample: Vec<u32> =
             coarse_to_fine(order.len()).take(SAMPLE_RECEIVERS).map(|place| order[place]).collect();
@@ -278,14 +279,18 @@ fn distance2(bounds: &Aabb, point: Vec3) -> f32 {
 #[derive(Debug, Default)]
 struct Records {
     records: Vec<Record>,
-    /// Position and square of the reach.
     balls: Vec<[f32; 4]>,
 }
 
-/// The ball of a record.
+/// The ball of a record: its position, and the square of its reach.
 fn ball(record: &Record) -> [f32; 4] {
     let [x, y, z] = record.position().to_array();
     [x, y, z, record.reach() * record.reach()]
+}
+
+/// The middle of a ball.
+fn center(&[x, y, z, _]: &[f32; 4]) -> Vec3 {
+    Vec3::new(x, y, z)
 }
 
 impl Records {
@@ -307,8 +312,7 @@ impl Records {
 
     /// Whether something holds of any record in whose ball a place lies.
     fn any_around(&self, place: Vec3, holds: impl Fn(&Record) -> bool) -> bool {
-        let is_in =
-            |ball: &[f32; 4]| place.distance_squared(Vec3::from_slice(&ball[..3])) < ball[3];
+        let is_in = |ball: &[f32; 4]| place.distance_squared(center(ball)) < ball[3];
         self.balls.iter().zip(&self.records).any(|(ball, record)| is_in(ball) && holds(record))
     }
 
@@ -318,10 +322,8 @@ impl Records {
         for (record, ball) in self.records.iter_mut().zip(&mut self.balls) {
             reach = reach.min(new.reach_beside(record, tolerance));
             let limited = record.reach_beside(new, tolerance);
-            if limited < record.reach() {
-                record.limit_reach(limited);
-                ball[3] = limited * limited;
-            }
+            record.limit_reach(limited);
+            ball[3] = record.reach() * record.reach();
         }
         new.limit_reach(reach);
     }
@@ -335,6 +337,7 @@ impl Records {
 }
 
 /// Records of several runs.
+#[derive(Debug, Default)]
 struct Pool {
     parts: Vec<Records>,
 }
@@ -344,20 +347,21 @@ impl Pool {
     fn within(&self, receivers: &[Receiver], chosen: &[u32]) -> Records {
         let positions = chosen.iter().map(|&index| receivers[index as usize].position);
         let bounds = Aabb::from_points(positions);
-        self.chosen(|ball| distance2(&bounds, Vec3::from_slice(&ball[..3])) < ball[3])
+        self.chosen(|ball| distance2(&bounds, center(ball)) < ball[3])
     }
 
     /// The `count` that reach farthest, or a few less.
-    fn most_useful(mut self, count: usize) -> Vec<Records> {
+    fn most_useful(mut self, count: usize) -> Self {
         let mut reaches: Vec<f32> = self.parts.iter().flat_map(Records::reaches).collect();
         if reaches.len() > count {
             let (_, least, _) = reaches.select_nth_unstable_by(count, |a, b| b.total_cmp(a));
             let least = *least;
             self.parts.iter_mut().for_each(|part| part.retain(|record| record.reach() > least));
         }
-        self.parts
+        self
     }
 
+    /// Those whose balls are chosen.
     fn chosen(&self, is_chosen: impl Fn(&[f32; 4]) -> bool) -> Records {
         let mut found = Records::default();
         for part in &self.parts {
@@ -373,10 +377,7 @@ impl Pool {
         for block in self.parts[number].records.chunks(BLOCK) {
             let bounds = Aabb::from_points(block.iter().map(Record::position));
             let farthest = block.iter().map(Record::reach).fold(0.0, f32::max);
-            let is_near = |ball: &[f32; 4]| {
-                distance2(&bounds, Vec3::from_slice(&ball[..3])) < farthest * farthest
-            };
-            let near = self.chosen(is_near);
+            let near = self.chosen(|ball| distance2(&bounds, center(ball)) < farthest * farthest);
             let agreed = |record: &Record| {
                 let beside = near.records.iter().map(|other| record.reach_beside(other, tolerance));
                 beside.fold(record.reach(), f32::min)

@@ -136,12 +136,15 @@ pub struct Feed<'q, 'r, T, E> {
     take: &'q mut dyn FnMut(Shaded<'_, T>) -> Result<(), E>,
 }
 
+/// Shades a chunk by records.
+type ShadeChunk<'s> = dyn FnMut(&[Receiver]) -> Result<Vec<Shading>, ScheduleError> + 's;
+
 /// How a stream's chunks are shaded.
 enum Shades<'q, 'r, T> {
     /// Each receiver by itself, by workers that have several chunks under way; with what is attached to these.
     Alone { queue: &'q Queue<'r>, order: ReceiverOrder, attached: VecDeque<T> },
     /// With records, chunk by chunk.
-    ByRecords(RecordShader<'q, 'q, 'q>),
+    ByRecords(&'q mut ShadeChunk<'q>),
 }
 
 impl<'r, T, E: From<ScheduleError>> Feed<'_, 'r, T, E> {
@@ -155,8 +158,8 @@ impl<'r, T, E: From<ScheduleError>> Feed<'_, 'r, T, E> {
         check_receivers(&receivers, self.pushed)?;
         self.pushed += receivers.len() as u64;
         match &mut self.shades {
-            Shades::ByRecords(shader) => {
-                let shadings = shader.shade(&receivers)?;
+            Shades::ByRecords(shade) => {
+                let shadings = shade(&receivers)?;
                 (self.take)(Shaded { receivers: &receivers, shadings, attached })
             }
             Shades::Alone { queue, order, attached: waiting } => {
@@ -217,10 +220,9 @@ pub fn shade_stream<'r, T, E: From<ScheduleError>>(
 ) -> Result<ShadeReport, E> {
     let start = std::time::Instant::now();
     let mut report = if options.gather.tolerance > 0.0 {
-        let shader = RecordShader::new(octree, light, options, kept);
-        let mut feed = Feed { shades: Shades::ByRecords(shader), pushed: 0, take: &mut take };
-        fill(&mut feed)?;
-        let Shades::ByRecords(shader) = &feed.shades else { return Ok(ShadeReport::default()) };
+        let mut shader = RecordShader::new(octree, light, options, kept);
+        let mut shade = |receivers: &[Receiver]| shader.shade(receivers);
+        fill(&mut Feed { shades: Shades::ByRecords(&mut shade), pushed: 0, take: &mut take })?;
         shader.report()
     } else {
         shade_alone(octree, light, options, fill, &mut take)?
@@ -350,7 +352,7 @@ pub fn shade_receivers(
 }
 
 /// Refuses receivers that are no places with directions. The first is the `first`th of all.
-pub(crate) fn check_receivers(receivers: &[Receiver], first: u64) -> Result<(), ScheduleError> {
+fn check_receivers(receivers: &[Receiver], first: u64) -> Result<(), ScheduleError> {
     for (index, receiver) in receivers.iter().enumerate() {
         let unit = (receiver.normal.length_squared() - 1.0).abs() < 1e-2;
         if !receiver.position.is_finite() || !unit {

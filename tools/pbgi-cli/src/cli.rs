@@ -164,28 +164,6 @@ pub fn parse_triple(text: &str) -> Result<[f32; 3], String> {
         .map_err(|_| format!("`{text}` are not three numbers; expected such as 0,1.5,-2"))
 }
 
-/// A share: 2% or 0.02.
-///
-/// # Errors
-///
-/// If the text is none.
-pub fn parse_share(text: &str) -> Result<f64, String> {
-    let (number, scale) = text.strip_suffix('%').map_or((text, 1.0), |number| (number, 0.01));
-    let share = number.trim().parse().ok().map(|x: f64| x * scale);
-    share.filter(|x| (1e-4..=1.0).contains(x)).ok_or_else(|| {
-        format!("`{text}` is no error; expected such as 2% or 0.02, from 0.01% to 100%")
-    })
-}
-
-/// The same, or 0.
-///
-/// # Errors
-///
-/// If the text is neither.
-pub fn parse_share_or_none(text: &str) -> Result<f32, String> {
-    if text.trim() == "0" { Ok(0.0) } else { parse_share(text).map(|share| share as f32) }
-}
-
 /// Columns and rows of an image, such as `960x540`.
 ///
 /// # Errors

@@ -133,8 +133,7 @@ impl PartReport {
     /// Compares irradiance, or ambient occlusion where there is no light; none where both are black.
     pub(crate) fn of_light(results: &[Sampled], references: &[Shading]) -> Option<Self> {
         let (metrics, _) = measure(results.iter().map(|s| &s.shading), references).ok()?;
-        let ErrorMetrics { rrmse, bias, p99, .. } = metrics;
-        Some(Self { rrmse, bias, p99 })
+        Some(metrics.into())
     }
 
     /// Compares what is reflected glossily; none where nothing is.
@@ -144,8 +143,13 @@ impl PartReport {
     ) -> Option<Self> {
         let results: Vec<f32> = results.flat_map(|s| s.reflected).collect();
         let truths: Vec<f32> = references.iter().flat_map(|s| s.reflected).collect();
-        let ErrorMetrics { rrmse, bias, p99, .. } = compare(&results, &truths).ok()?;
-        Some(Self { rrmse, bias, p99 })
+        Some(compare(&results, &truths).ok()?.into())
+    }
+}
+
+impl From<ErrorMetrics> for PartReport {
+    fn from(ErrorMetrics { rrmse, bias, p99, .. }: ErrorMetrics) -> Self {
+        Self { rrmse, bias, p99 }
     }
 }
 

@@ -568,7 +568,6 @@ impl<'a> Session<'a> {
             receivers,
             shade_seconds: seconds,
             receivers_per_second: receivers as f64 / seconds.max(1e-9),
-            gathers: cut_sizes.count,
             cut_mean: cut_sizes.mean(),
             nodes_visited_mean: cut.nodes_visited as f64 / cut_sizes.count.max(1) as f64,
             cuts: CutReport::new(&self.done),
@@ -697,8 +696,6 @@ pub struct ShadeReport {
     pub shade_seconds: f64,
     /// Receivers per second of those.
     pub receivers_per_second: f64,
-    /// Receivers that gathered by themselves; the others were interpolated.
-    pub gathers: u64,
     /// Mean entries of a cut.
     pub cut_mean: f64,
     /// Mean nodes whose bounds were tested.
@@ -751,8 +748,9 @@ impl ShadeReport {
 
     /// How many receivers gathered by themselves.
     fn gathers_text(&self) -> String {
-        let share = self.gathers as f64 / self.receivers.max(1) as f64 * 100.0;
-        let count = format_count(self.gathers as f64);
+        let gathers = self.cuts.gathers as f64;
+        let share = gathers / self.receivers.max(1) as f64 * 100.0;
+        let count = format_count(gathers);
         if self.interpolation > 0.0 {
             format!("{count} ({share:.1} % of receivers)")
         } else {

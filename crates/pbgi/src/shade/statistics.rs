@@ -35,8 +35,8 @@ pub struct CutReport {
 
 impl CutReport {
     pub(crate) fn new(report: &ShadeReport) -> Self {
-        let mean = |sum: u64| sum as f64 / report.receivers.max(1) as f64;
         let sizes = &report.cut_sizes;
+        let mean = |sum: u64| sum as f64 / sizes.count.max(1) as f64;
         Self {
             batches: report.batches,
             gathers: sizes.count,

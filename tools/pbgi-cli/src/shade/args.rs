@@ -1,6 +1,6 @@
 //! Arguments of `pbgi shade`.
 
-use crate::cli::{self, CommonArgs, EXIT_CODES_HELP, IoMode, parse_resolution, parse_triple};
+use crate::cli::{CommonArgs, EXIT_CODES_HELP, IoMode, parse_resolution, parse_triple};
 use crate::environment::EnvironmentArgs;
 use crate::shade::frames::Frames;
 use clap::{Args, Parser, ValueEnum};
@@ -309,7 +309,7 @@ pub struct QualityArgs {
     /// Cut error to choose the solid angle for, such as 2%
     ///
     /// A sample of receivers is measured first, and what was chosen is reported.
-    #[arg(long, value_name = "SHARE", value_parser = cli::parse_share, conflicts_with = "solid_angle")]
+    #[arg(long, value_name = "SHARE", value_parser = parse_share, conflicts_with = "solid_angle")]
     pub target_error: Option<f64>,
     /// Largest solid angle of a node taken as one, sr
     ///
@@ -321,7 +321,7 @@ pub struct QualityArgs {
     ///
     /// Receivers whose neighbors' light tells theirs are interpolated, by irradiance gradients; sharp shadows of suns and gloss never are. The mean of
     /// what it adds is about a tenth of this; --check tells.
-    #[arg(long, value_name = "SHARE", value_parser = cli::parse_share_or_none, default_value = "10%")]
+    #[arg(long, value_name = "SHARE", value_parser = parse_share_or_none, default_value = "10%")]
     pub interpolation: f32,
     /// What makes nodes smaller in some directions than in others
     ///
@@ -506,6 +506,20 @@ fn parse_exposure(text: &str) -> Result<Exposure, String> {
     let stops = text.parse().ok().filter(|x: &f32| x.abs() <= 100.0);
     let expected = || format!("`{text}` is no exposure; expected `auto` or stops such as 1.5");
     stops.map(Exposure::Stops).ok_or_else(expected)
+}
+
+/// A share: 2% or 0.02.
+fn parse_share(text: &str) -> Result<f64, String> {
+    let (number, scale) = text.strip_suffix('%').map_or((text, 1.0), |number| (number, 0.01));
+    let share = number.trim().parse().ok().map(|x: f64| x * scale);
+    share.filter(|x| (1e-4..=1.0).contains(x)).ok_or_else(|| {
+        format!("`{text}` is no error; expected such as 2% or 0.02, from 0.01% to 100%")
+    })
+}
+
+/// The same, or 0.
+fn parse_share_or_none(text: &str) -> Result<f32, String> {
+    if text.trim() == "0" { Ok(0.0) } else { parse_share(text).map(|share| share as f32) }
 }
 
 /// Three coordinates in double precision: survey coordinates have millions of meters.
