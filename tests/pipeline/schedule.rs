@@ -5,7 +5,7 @@ use pbgi_build::BuildOptions;
 use pbgi_gather::{CutStats, GatherSettings, Receiver, Shading};
 use pbgi_math::Vec3;
 use pbgi_schedule::{
-    CHUNKS_IN_FLIGHT, Feed, ReceiverOrder, ScheduleError, ShadeOptions, ShadeReport,
+    CHUNKS_IN_FLIGHT, Feed, KeptRecords, ReceiverOrder, ScheduleError, ShadeOptions, ShadeReport,
     shade_receivers, shade_stream,
 };
 use pbgi_store::{Octree, OpenOptions};
@@ -37,6 +37,7 @@ fn shade_in_chunks(
         octree,
         None,
         options,
+        &mut KeptRecords::default(),
         |feed: &mut Feed<'_, '_, usize, ScheduleError>| {
             let chunks = receivers.chunks(chunk).enumerate();
             chunks.into_iter().try_for_each(|(i, part)| feed.push(Cow::Borrowed(part), i))
@@ -134,6 +135,7 @@ fn no_more_than_a_few_chunks_are_under_way() {
         &octree,
         None,
         &ShadeOptions { threads: 2, ..ShadeOptions::default() },
+        &mut KeptRecords::default(),
         |feed: &mut Feed<'_, '_, (), ScheduleError>| {
             for _ in 0..20 {
                 feed.push(Cow::Borrowed(&receivers), ())?;
@@ -165,6 +167,7 @@ fn streams_end_with_what_went_wrong() {
             &octree,
             None,
             &options,
+            &mut KeptRecords::default(),
             |feed: &mut Feed<'_, '_, (), ScheduleError>| {
                 let mut chunks = receivers.chunks(100);
                 chunks.try_for_each(|chunk| feed.push(Cow::Owned(chunk.to_vec()), ()))

@@ -1,6 +1,6 @@
 //! Chores of the workspace: `cargo xtask tidy`, `cargo xtask bless`, `cargo xtask billion`, `cargo xtask truth`,
-//! `cargo xtask cases`, `cargo xtask hard-cases`, `cargo xtask faults`, `cargo xtask licenses`, `cargo xtask publish`, `cargo xtask dist`,
-//! `cargo xtask ci`.
+//! `cargo xtask cases`, `cargo xtask hard-cases`, `cargo xtask faults`, `cargo xtask fuzz`, `cargo xtask licenses`,
+//! `cargo xtask publish`, `cargo xtask dist`, `cargo xtask ci`.
 #![forbid(unsafe_code)]
 
 mod billion;
@@ -11,6 +11,7 @@ mod crate_roots;
 mod dist;
 mod edges;
 mod faults;
+mod fuzz;
 mod hard_cases;
 mod layout_lock;
 mod licenses;
@@ -41,6 +42,8 @@ Usage: cargo xtask COMMAND
                   measure the hard cases, all or those whose names contain one of these, and compare them with what is promised (minutes)
   faults [--short]
                   fail, fill and kill every program at calls on files (minutes, with --short a few moments of each kind)
+  fuzz [--minutes N] [TARGETS]
+                  search N minutes (5) for inputs that a reader fails on, of every target of fuzz/ or of these; needs nightly and C++
   licenses        check the licenses of all dependencies against deny.toml
   publish         check that all published crates pack
   dist [--dry-run] [TARGET]
@@ -64,6 +67,7 @@ fn main() -> ExitCode {
         ["cases", ref filters @ ..] => cases::run(&workspace, filters),
         ["faults"] => faults::run(&workspace, false),
         ["faults", "--short"] => faults::run(&workspace, true),
+        ["fuzz", ref rest @ ..] => fuzz::run(&workspace, rest),
         ["licenses"] => licenses::check(&workspace),
         ["publish"] => publish::check(&workspace),
         ["dist", ref rest @ ..] => dist::run(&workspace, rest),

@@ -17,6 +17,11 @@ impl EnvironmentTexels {
         let padded = table.pad(texels);
         Self { channels: std::array::from_fn(|c| padded.iter().map(|t| t[c]).collect()) }
     }
+
+    /// Radiance of all texels in one channel.
+    pub(crate) fn channel(&self, channel: usize) -> &[f32] {
+        &self.channels[channel]
+    }
 }
 
 /// Integrals over eight texels of a row.
@@ -221,7 +226,7 @@ pub fn convolve_diffuse(
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use pbgi_raster::{Ink, Lanes, Section, SimdLevel, Veil, WideKernel, run_wide};
 
@@ -256,7 +261,7 @@ mod tests {
     }
 
     /// Empties the raster for a normal and draws planes at distance 1, in boxes, with radiance 3.
-    struct Draw<'a>(&'a mut CubeRaster, Vec3, &'a [(Vec3, Vec3, Vec3)]);
+    pub(crate) struct Draw<'a>(pub &'a mut CubeRaster, pub Vec3, pub &'a [(Vec3, Vec3, Vec3)]);
 
     impl WideKernel for Draw<'_> {
         type Output = ();

@@ -4,10 +4,12 @@
 #![forbid(unsafe_code)]
 
 mod albedo;
+mod differential;
 mod diffuse;
 mod ggx;
 mod material;
 
+pub use differential::{Differential, Differentiator, LIGHT, OCCLUSION, QUANTITIES, SKY};
 pub use diffuse::{ConvolutionTable, Diffuse, EnvironmentTexels, convolve_diffuse};
 pub use ggx::{GgxLobe, LobeDirections, LobePattern};
 pub use material::Material;

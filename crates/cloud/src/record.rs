@@ -107,7 +107,7 @@ impl Record {
         }
         let (radius, area) = match (self.radius > 0.0, self.area > 0.0) {
             (true, false) => (self.radius, PI * self.radius * self.radius / disk_overlap),
-            (false, true) => ((self.area * 0.5).sqrt(), self.area),
+            (false, true) => ((self.area.max(f32::MIN_POSITIVE) * 0.5).sqrt(), self.area),
             _ => (self.radius, self.area),
         };
         // A radius so small that its square vanishes still has an area.
@@ -227,6 +227,9 @@ mod tests {
         assert!(surfel.is_isotropic());
         let surfel = Record::default().to_surfel(1.0).unwrap();
         assert_eq!((surfel.radius, surfel.area), (0.0, 0.0));
+        // Found by fuzzing: half of the smallest number there is, is 0.
+        let surfel = Record { area: 1e-45, ..Record::default() }.to_surfel(1.0).unwrap();
+        assert!(surfel.radius > 0.0 && is_sound(&surfel), "{surfel:?}");
         let tiny = Record { radius: 1e-30, ..Record::default() }.to_surfel(1.0).unwrap();
         assert!(tiny.area > 0.0);
     }

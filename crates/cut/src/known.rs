@@ -343,6 +343,26 @@ impl<'a> NodeReader<'a> {
         Ok(())
     }
 
+    /// Whether two children of a group have the same box and, but for how much there is of it, show the same.
+    pub(crate) fn look_alike(
+        &mut self,
+        at: GroupIndex,
+        [a, b]: [u8; 2],
+        stats: &mut CutStats,
+    ) -> Result<bool, StoreError> {
+        let group = self.group(at);
+        let [a, b] = [a, b].map(|octant| group.index(octant));
+        if group.boxes.get(a) != group.boxes.get(b) {
+            return Ok(false);
+        }
+        self.lobes(at, a, stats)?;
+        let starts = &self.group(at).lobes;
+        let [a, b] =
+            [a, b].map(|index| &self.lobes[starts[index] as usize..starts[index + 1] as usize]);
+        let alike = |(a, b): (&KnownLobe, &KnownLobe)| are_alike(&a.lobe, &b.lobe);
+        Ok(a.len() == b.len() && a.iter().zip(b).all(alike))
+    }
+
     /// Mean radiance of all surfaces of a file, of the brightest channel, weighted by area; W·m⁻²·sr⁻¹. 0 for files without light.
     ///
     /// # Errors
@@ -364,6 +384,24 @@ impl<'a> NodeReader<'a> {
         }
         Ok(if area > 0.0 { light / area } else { 0.0 })
     }
+}
+
+/// Difference of shares and of radiances that cannot be told, as a share of the whole.
+const ALIKE: f32 = 1.0 / 32.0;
+
+/// Whether two lobes of boxes at one place show the same toward every direction, but for how much area there is behind it.
+fn are_alike(a: &Lobe, b: &Lobe) -> bool {
+    let size = |lobe: &Lobe| (lobe.vector.length() + lobe.width).max(f32::MIN_POSITIVE);
+    let parts = |lobe: &Lobe| (lobe.vector / size(lobe), lobe.width / size(lobe));
+    let ((vector_a, width_a), (vector_b, width_b)) = (parts(a), parts(b));
+    let near = |x: f32, y: f32, whole: f32| (x - y).abs() <= ALIKE * whole;
+    a.blocks_back == b.blocks_back
+        && a.stencil == b.stencil
+        && near(a.height, b.height, 1.0)
+        && near(a.fill, b.fill, 1.0)
+        && near(width_a, width_b, 1.0)
+        && vector_a.distance(vector_b) <= ALIKE
+        && a.radiance.iter().zip(b.radiance).all(|(x, y)| near(*x, y, x.max(y)))
 }
 
 impl KnownLeaf {

@@ -101,6 +101,12 @@ struct Frame {
     large: u8,
     /// Octant order, front to back, is `step ^ flip`.
     flip: u8,
+    /// Where its octants meet, and whether a group beside or above it has them meet there, too: its surfels share a Morton code, and its
+    /// children are parts of a list, not of space.
+    split: Vec3,
+    is_list: bool,
+    /// Of a list, the first child that was descended into.
+    first: Option<u8>,
     /// Boxes around what is drawn of the children, by index, relative to the receiver, and what the visitor keeps of them.
     boxes: Boxes,
     kept: [Kept; CHILDREN_MAX],
@@ -117,7 +123,8 @@ pub struct CutScratch {
 ///
 /// In order, for each node: wholly below the receiver's horizon, it is dropped; all it could touch opaque, it is dropped with everything
 /// below it, whose pages are never read; small enough for `threshold`, it is taken as one; a leaf
-/// gives its surfels, nearest first; else the walk descends. Seen from any point, an octant whose
+/// gives its surfels, nearest first; else the walk descends. Of surfels that share a Morton code, more than a leaf holds, those that look
+/// like others of them are behind these, and dropped with everything below. Seen from any point, an octant whose
 /// index differs from the receiver's own octant in fewer planes is never behind one that differs in
 /// those and more: visiting `step XOR own` in ascending `step` is front to back. What
 /// lies in damaged pages that are skipped counts as nothing; the root's page is never skipped.
@@ -161,7 +168,26 @@ impl<V: CutVisitor, T: Threshold> Walk<'_, '_, V, T> {
         let flip = view.position.cmpgt(group.split).bitmask() as u8;
         let (place, wanted) = (group.place, group.octants & !seen.below);
         let (large, boxes, kept) = (seen.large, seen.boxes, self.visitor.look_at(&seen.boxes));
-        let frame = Frame { place, group: at, step: 0, wanted, large, flip, boxes, kept };
+        let split = group.split;
+        let mut is_list = false;
+        if let Some(above) = self.scratch.frames.last_mut() {
+            is_list = above.split == split;
+            above.is_list |= is_list;
+        }
+        let first = None;
+        let frame = Frame {
+            place,
+            group: at,
+            step: 0,
+            wanted,
+            large,
+            flip,
+            split,
+            is_list,
+            first,
+            boxes,
+            kept,
+        };
         self.scratch.frames.push(frame);
     }
 
@@ -192,6 +218,14 @@ impl<V: CutVisitor, T: Threshold> Walk<'_, '_, V, T> {
             if !self.visitor.is_open(low, high, kept) {
                 self.stats.culled_opaque += 1;
             } else if is_large {
+                if frame.is_list
+                    && let Some(first) = frame.first
+                    && self.nodes.look_alike(group, [first, octant], self.stats)?
+                {
+                    self.stats.culled_opaque += 1;
+                    continue;
+                }
+                frame.first.get_or_insert(octant);
                 self.descend(group, octant)?;
             } else {
                 self.take_as_one(group, octant)?;
@@ -221,7 +255,12 @@ impl<V: CutVisitor, T: Threshold> Walk<'_, '_, V, T> {
                 let Self { nodes, receiver, visitor, scratch, stats, .. } = self;
                 take_leaf(nodes, leaf, receiver, *visitor, &mut scratch.order, stats);
             }
-            None => {}
+            // Nothing is behind what is missing.
+            None => {
+                if let Some(frame) = self.scratch.frames.last_mut() {
+                    frame.first = frame.first.filter(|first| *first != octant);
+                }
+            }
         }
         Ok(())
     }

@@ -4,9 +4,10 @@ use crate::importance::{CubeThreshold, ImportanceTerms, LobeThreshold, Stakes};
 use crate::lamps::{LampThreshold, LampVisitor, Lamps};
 use crate::light::{PreparedLight, PreparedPeak};
 use crate::receiver::{Gloss, Receiver, Shading};
+use crate::record::{Record, Tolerance};
 use crate::reflect::{LobeScratch, LobeVisitor};
 use crate::visitors::{CubeVisitor, WindowVisitor};
-use pbgi_brdf::{ConvolutionTable, GgxLobe, convolve_diffuse};
+use pbgi_brdf::{ConvolutionTable, Differential, Differentiator, GgxLobe, convolve_diffuse};
 use pbgi_cut::{
     CutReceiver, CutScratch, CutStats, CutVisitor, KNOWN_BYTES, NodeReader, Threshold,
     UniformThreshold, pick_cut,
@@ -47,6 +48,8 @@ pub struct GatherSettings {
     pub bias: f32,
     /// Bytes of decoded nodes to keep for the receivers that come next; results do not depend on it.
     pub node_bytes: usize,
+    /// Share of what is gathered that interpolation between receivers may be wrong by; 0 gathers for each by itself.
+    pub tolerance: f32,
     /// Which light is looked for; what is not is 0.
     pub parts: GatherParts,
     /// Unit direction of the sky, for `sky_visibility`.
@@ -64,6 +67,7 @@ impl Default for GatherSettings {
             lobe_level: 3,
             bias: 0.4,
             node_bytes: KNOWN_BYTES,
+            tolerance: 0.0,
             parts: GatherParts::All,
             up: Vec3::Y,
             simd: SimdLevel::detect(),
@@ -80,6 +84,8 @@ pub struct Gatherer<'a> {
     pub(crate) settings: GatherSettings,
     light: Option<&'a PreparedLight>,
     table: ConvolutionTable,
+    /// What records are differentiated by; none where each receiver gathers for itself.
+    differentiator: Option<Differentiator>,
     raster: CubeRaster,
     window_raster: WindowRaster,
     lobe: LobeScratch,
@@ -99,6 +105,12 @@ impl<'a> Gatherer<'a> {
     ) -> Self {
         let table = CubeRasterTable::new(settings.raster_edge);
         let shines = reader.octree().header().channels.count() > 0;
+        let differentiator =
+            (settings.tolerance > 0.0).then(|| Differentiator::new(&table, settings.up));
+        let mut raster = CubeRaster::new(&table, shines);
+        if differentiator.is_some() {
+            raster.keep_depths();
+        }
         Self {
             walker: Walker {
                 nodes: NodeReader::new(reader, settings.node_bytes),
@@ -107,7 +119,8 @@ impl<'a> Gatherer<'a> {
             },
             settings: *settings,
             light,
-            raster: CubeRaster::new(&table, shines),
+            raster,
+            differentiator,
             table: ConvolutionTable::new(&table, settings.up),
             lobe: LobeScratch::new(settings.lobe_level),
             stakes: None,
@@ -144,6 +157,54 @@ impl<'a> Gatherer<'a> {
         }
         shading.cut_size = (self.walker.stats.cut_size() - before) as u32;
         Ok(shading)
+    }
+
+    /// Gathers broad light for a receiver, and how it changes around it; the settings must have a tolerance.
+    ///
+    /// # Errors
+    ///
+    /// As of [`Self::gather`].
+    pub fn record(
+        &mut self,
+        receiver: &Receiver,
+        tolerance: &Tolerance,
+    ) -> Result<Record, StoreError> {
+        let shading = self.broad(receiver)?;
+        let kernel = DifferentialKernel { gatherer: self, receiver };
+        let differential = run_wide(kernel.gatherer.settings.simd, kernel);
+        let differentiator = &self.differentiator;
+        let looming = |distance: f32, light: f32| {
+            differentiator.as_ref().map_or([0.0; 2], |d| d.looming(distance, light))
+        };
+        Ok(Record::new(receiver, &shading, &differential, looming, tolerance))
+    }
+
+    /// Gathers broad light alone.
+    ///
+    /// # Errors
+    ///
+    /// As of [`Self::gather`].
+    pub fn broad(&mut self, receiver: &Receiver) -> Result<Shading, StoreError> {
+        let parts = std::mem::replace(&mut self.settings.parts, GatherParts::Broad);
+        let gathered = self.gather(receiver);
+        self.settings.parts = parts;
+        gathered
+    }
+
+    /// Adds sharp light to what a receiver has of broad light.
+    ///
+    /// # Errors
+    ///
+    /// As of [`Self::gather`].
+    pub fn add_sharp(
+        &mut self,
+        receiver: &Receiver,
+        shading: &mut Shading,
+    ) -> Result<(), StoreError> {
+        let before = self.walker.stats.cut_size();
+        self.gather_sharp(receiver, shading)?;
+        shading.cut_size += (self.walker.stats.cut_size() - before) as u32;
+        Ok(())
     }
 
     /// Peaks of the environment and reflections, which each receiver looks for by itself.
@@ -313,6 +374,25 @@ impl WideKernel for CubeKernel<'_, '_> {
         shading.sky_visibility = diffuse.sky_visibility;
         shading.bent_normal = diffuse.bent_normal;
         Ok(())
+    }
+}
+
+/// How what the last gather has found changes around its receiver.
+struct DifferentialKernel<'k, 'a> {
+    gatherer: &'k mut Gatherer<'a>,
+    receiver: &'k Receiver,
+}
+
+impl WideKernel for DifferentialKernel<'_, '_> {
+    type Output = Differential;
+
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> Self::Output {
+        let Gatherer { differentiator, raster, light, .. } = self.gatherer;
+        let base = light.map(|light| &light.base);
+        let normals = [self.receiver.normal, self.receiver.plane];
+        let differentiate = |d: &mut Differentiator| d.differentiate(raster, base, normals);
+        differentiator.as_mut().map(differentiate).unwrap_or_default()
     }
 }
 

@@ -10,6 +10,7 @@ mod lamps;
 mod light;
 mod primitive;
 mod receiver;
+mod record;
 mod reflect;
 mod visitors;
 
@@ -20,3 +21,4 @@ pub use pbgi_brdf::Material;
 pub use pbgi_cut::{CutStats, KNOWN_BYTES, LevelStats};
 pub use pbgi_raster::SimdLevel;
 pub use receiver::{Gloss, Receiver, Shading};
+pub use record::{Blend, Record, Tolerance};

@@ -243,6 +243,7 @@ fn finish(
                 let color = matrix * DVec3::from_array(pixel.map(f64::from));
                 *pixel = color.to_array().map(|c| c as f32);
             }
+            check_finite(path, &image, "repair it with: oiiotool in.exr --mulc 0.001 -o out.exr")?;
             clamp(&mut image, &mut warnings, "have colors that Rec. 709 does not hold");
         }
         Some(None) => {
@@ -287,18 +288,27 @@ fn check_pixels(path: &Path, image: &RgbImage) -> Result<(), ImageError> {
     };
     let is_bad = |p: &[f32; 3]| !finite(p) || p.iter().any(|c| *c < -limit);
     let Some(index) = image.pixels.iter().position(is_bad) else { return Ok(()) };
-    let value = image.pixels[index];
-    let cure = match finite(&value) {
+    let cure = match finite(&image.pixels[index]) {
         true => "repair it with: oiiotool in.exr --clamp:min=0 -o out.exr",
         false => "repair it with: oiiotool in.exr --fixnan box3 --clamp:min=0 -o out.exr",
     };
-    Err(ImageError::BadPixel {
+    Err(bad_pixel(path, image, index, cure))
+}
+
+/// Passes an image all of whose pixels are finite.
+fn check_finite(path: &Path, image: &RgbImage, cure: &str) -> Result<(), ImageError> {
+    let bad = image.pixels.iter().position(|p| p.iter().any(|c| !c.is_finite()));
+    bad.map_or(Ok(()), |index| Err(bad_pixel(path, image, index, cure)))
+}
+
+fn bad_pixel(path: &Path, image: &RgbImage, index: usize, cure: &str) -> ImageError {
+    ImageError::BadPixel {
         path: path.to_owned(),
         column: index % image.width,
         row: index / image.width,
-        value,
+        value: image.pixels[index],
         cure: cure.to_owned(),
-    })
+    }
 }
 
 #[cfg(test)]
@@ -521,6 +531,21 @@ mod tests {
             let error = read_hdr(&path).unwrap_err();
             assert!(matches!(error, ImageError::Malformed { .. }), "{length}: {error}");
         }
+    }
+
+    /// Found by fuzzing: pixels near the largest number became infinite light.
+    #[test]
+    fn what_is_no_number_in_rec_709_is_refused() {
+        let mut image = RgbImage { width: 2, height: 1, pixels: vec![[1.0; 3], [2e38, 0.0, 0.0]] };
+        let wide = Chromaticities {
+            primaries: [[0.713, 0.293], [0.165, 0.83], [0.128, 0.044]],
+            white: [0.321_68, 0.337_67],
+        };
+        let read = |image| finish(Path::new("wide.hdr"), image, Some(wide), Vec::new());
+        let message = read(image.clone()).unwrap_err().to_string();
+        assert!(message.contains("wide.hdr") && message.contains("--mulc"), "{message}");
+        image.pixels[1][0] = 1e38;
+        assert!(read(image).unwrap().image.pixels[1][0] > 1.5e38);
     }
 
     #[test]

@@ -53,7 +53,7 @@ pub use points::export::export_points;
 pub use points::in_memory::{Positions, ReceiversRequest, shade_receivers};
 pub use points::{PointSource, PointsRequest, shade_points};
 pub use progress::{Phase, Progress, ProgressEvent, ProgressMode, Verbosity};
-pub use shade::check::{CheckReport, GlossReport};
+pub use shade::check::{CheckReport, PartReport};
 pub use shade::statistics::{CacheReport, CutReport, LevelReport};
 pub use shade::target::TargetReport;
 pub use shade::{

@@ -248,6 +248,7 @@ pub struct CubeRaster {
     n: usize,
     stride: usize,
     shines: bool,
+    keeps_depths: bool,
     lamp_radiance: f32,
     lamp_irradiance: [f32; 3],
     normal: Vec3,
@@ -285,6 +286,7 @@ impl CubeRaster {
             n,
             stride,
             shines,
+            keeps_depths: shines,
             lamp_radiance: f32::INFINITY,
             lamp_irradiance: [0.0; 3],
             normal: Vec3::Z,
@@ -309,6 +311,11 @@ impl CubeRaster {
     /// From this radiance of the brightest channel on, W·m⁻²·sr⁻¹, pieces are lamps, which keep their flux; none are unless this is called.
     pub fn set_lamp_radiance(&mut self, least: f32) {
         self.lamp_radiance = least;
+    }
+
+    /// Keeps how far away what covers samples is, also where nothing shines, for [`Self::nearest`].
+    pub fn keep_depths(&mut self) {
+        self.keeps_depths = true;
     }
 
     /// Empties the raster for a receiver with this normal: samples below its horizon count as covered from the
@@ -569,7 +576,7 @@ impl CubeRaster {
         }
         let above = self.above[index].count_ones() as f32;
         let texel = self.inverse_solid_angles[index] * SAMPLES as f32 / larger_than_zero(above);
-        self.light(index, row_index, column).add_lamp(solid_angle * texel);
+        self.light(index, row_index, column).add_lamp(solid_angle * texel, radiance);
     }
 
     /// Cosine to the receiver's normal at a place of a texel, −1..=1 from border to border.
@@ -652,7 +659,7 @@ impl CubeRaster {
                         }
                     }
                     if new != 0 {
-                        if self.shines {
+                        if self.keeps_depths {
                             w.store_where(new, depths);
                         }
                         self.covered[index] = before | new;
@@ -713,6 +720,33 @@ impl CubeRaster {
     pub fn openness(&self, index: usize) -> f32 {
         let open = (!self.covered[index]).count_ones() as f32;
         open / larger_than_zero(self.above[index].count_ones() as f32)
+    }
+
+    /// Inverse depth, along its face's axis, of the nearest thing that covers samples of texel `index` (in memory) above the horizon; 0
+    /// where nothing does. Needs [`Self::keep_depths`] where nothing shines.
+    #[must_use]
+    pub fn nearest(&self, index: usize) -> f32 {
+        let drawn = self.covered[index] & self.above[index];
+        // The receiver's own plane is nearer than all and is no thing.
+        let depth = |i: usize| {
+            let depth = self.depths[index][i];
+            if drawn >> i & 1 != 0 && depth < f32::MAX { depth } else { 0.0 }
+        };
+        (0..SAMPLES).map(depth).fold(0.0, larger)
+    }
+
+    /// Share of the samples of texel `index` (in memory) that lie above the horizon.
+    #[must_use]
+    pub fn share_above(&self, index: usize) -> f32 {
+        self.above[index].count_ones() as f32 / SAMPLES as f32
+    }
+
+    /// Radiance of the lamps in texel `index` (in memory), whose light is not in [`TexelChunk::radiance`], times the share of it they show.
+    #[must_use]
+    pub fn lamp_radiance(&self, index: usize) -> [f32; 3] {
+        let (row_index, column) = (index / self.stride, index % self.stride);
+        let is_lit = self.lit[row_index] >> column & 1 != 0;
+        if is_lit { self.lights[index].lamp_radiance } else { [0.0; 3] }
     }
 
     /// Texels `8 index ..` in memory; none where all of them are below the horizon.

@@ -12,11 +12,14 @@ pub(crate) struct TexelLight {
     weight: f32,
     /// Σ of the shares of lamps, whose light is not in `radiance`.
     lamp_weight: f32,
+    /// Σ of radiance × share of the texel, of lamps.
+    pub lamp_radiance: [f32; 3],
 }
 
 impl TexelLight {
     /// No light.
-    pub const NONE: Self = Self { radiance: [0.0; 3], weight: 0.0, lamp_weight: 0.0 };
+    pub const NONE: Self =
+        Self { radiance: [0.0; 3], weight: 0.0, lamp_weight: 0.0, lamp_radiance: [0.0; 3] };
 
     /// Radiance of a texel that is covered wholly: its surfaces share what lamps leave of it.
     #[inline(always)]
@@ -37,7 +40,10 @@ impl TexelLight {
 
     /// Takes this share of the texel for a lamp.
     #[inline(always)]
-    pub fn add_lamp(&mut self, share: f32) {
+    pub fn add_lamp(&mut self, share: f32, radiance: &[f32; 3]) {
+        for (sum, light) in self.lamp_radiance.iter_mut().zip(radiance) {
+            *sum += share * light;
+        }
         self.lamp_weight += share;
     }
 }

@@ -11,7 +11,7 @@ use std::path::Path;
 /// Reads a scene file by its extension: glTF 2.0 (`.glb`, `.gltf`), Wavefront OBJ (`.obj`) or a PLY
 /// mesh (`.ply`).
 ///
-/// Every index in the scene points to something, every position is finite. What is left out or read
+/// Every index in the scene points to something, every position that a triangle uses is finite. What is left out or read
 /// differently is listed in [`Scene::warnings`]. Files that it refers to may lie anywhere, as studios share textures and libraries; what is
 /// no regular file is not opened.
 ///

@@ -4,9 +4,11 @@
 #![forbid(unsafe_code)]
 
 mod queue;
+mod records;
 mod shade;
 mod spread;
 
+pub use records::{KeptRecords, RECORD_BYTES};
 pub use shade::{
     CHUNKS_IN_FLIGHT, Feed, RECEIVER_BYTES_IN_FLIGHT, ReceiverOrder, ScheduleError, ShadeOptions,
     ShadeReport, Shaded, shade_receivers, shade_stream,

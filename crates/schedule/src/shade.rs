@@ -1,6 +1,7 @@
 //! Receivers as a stream: chunks come in, neighbors go to workers in batches, results come out in the order of the receivers.
 
 use crate::queue::{Chunk, Queue, StopOnDrop};
+use crate::records::{KeptRecords, RecordShader};
 use crate::spread::Spread;
 use pbgi_gather::{CutStats, GatherSettings, Gatherer, PreparedLight, Receiver, Shading};
 use pbgi_math::{Aabb, RootCube};
@@ -130,55 +131,81 @@ pub struct Shaded<'s, T> {
 
 /// Where chunks of receivers are pushed into a running stream.
 pub struct Feed<'q, 'r, T, E> {
-    queue: &'q Queue<'r>,
-    order: ReceiverOrder,
-    attached: VecDeque<T>,
+    shades: Shades<'q, 'r, T>,
     pushed: u64,
     take: &'q mut dyn FnMut(Shaded<'_, T>) -> Result<(), E>,
 }
 
+/// Shades a chunk by records.
+type ShadeChunk<'s> = dyn FnMut(&[Receiver]) -> Result<Vec<Shading>, ScheduleError> + 's;
+
+/// How a stream's chunks are shaded.
+enum Shades<'q, 'r, T> {
+    /// Each receiver by itself, by workers that have several chunks under way; with what is attached to these.
+    Alone { queue: &'q Queue<'r>, order: ReceiverOrder, attached: VecDeque<T> },
+    /// With records, chunk by chunk.
+    ByRecords(&'q mut ShadeChunk<'q>),
+}
+
 impl<'r, T, E: From<ScheduleError>> Feed<'_, 'r, T, E> {
     /// Hands a chunk to the workers, with whatever belongs to it. Where [`CHUNKS_IN_FLIGHT`] are under way, waits for the oldest and has
-    /// it taken first.
+    /// it taken first; where receivers share records, it is shaded and taken at once.
     ///
     /// # Errors
     ///
     /// If a receiver is no place with a direction, a worker failed, or from taking a chunk.
     pub fn push(&mut self, receivers: Cow<'r, [Receiver]>, attached: T) -> Result<(), E> {
-        while self.attached.len() >= CHUNKS_IN_FLIGHT {
-            self.take_oldest()?;
-        }
         check_receivers(&receivers, self.pushed)?;
-        let order = match self.order {
-            ReceiverOrder::Morton => morton_order(&receivers),
-            ReceiverOrder::AsGiven => (0..receivers.len() as u32).collect(),
-        };
         self.pushed += receivers.len() as u64;
-        self.attached.push_back(attached);
-        self.queue.push(Chunk { receivers, order });
-        Ok(())
+        match &mut self.shades {
+            Shades::ByRecords(shade) => {
+                let shadings = shade(&receivers)?;
+                (self.take)(Shaded { receivers: &receivers, shadings, attached })
+            }
+            Shades::Alone { queue, order, attached: waiting } => {
+                while waiting.len() >= CHUNKS_IN_FLIGHT {
+                    take_oldest(queue, waiting, self.take)?;
+                }
+                let order = match order {
+                    ReceiverOrder::Morton => morton_order(&receivers),
+                    ReceiverOrder::AsGiven => (0..receivers.len() as u32).collect(),
+                };
+                waiting.push_back(attached);
+                queue.push(Chunk { receivers, order });
+                Ok(())
+            }
+        }
     }
 
-    fn take_oldest(&mut self) -> Result<(), E> {
-        let Some(attached) = self.attached.pop_front() else { return Ok(()) };
-        let (chunk, shadings) = self.queue.take_oldest()?;
-        (self.take)(Shaded { receivers: &chunk.receivers, shadings, attached })
-    }
-
+    /// Has all chunks taken that are under way.
     fn drain(&mut self) -> Result<(), E> {
-        while !self.attached.is_empty() {
-            self.take_oldest()?;
+        let Shades::Alone { queue, attached, .. } = &mut self.shades else { return Ok(()) };
+        while !attached.is_empty() {
+            take_oldest(queue, attached, self.take)?;
         }
         Ok(())
     }
 }
 
+fn take_oldest<T, E: From<ScheduleError>>(
+    queue: &Queue<'_>,
+    attached: &mut VecDeque<T>,
+    take: &mut dyn FnMut(Shaded<'_, T>) -> Result<(), E>,
+) -> Result<(), E> {
+    let Some(attached) = attached.pop_front() else { return Ok(()) };
+    let (chunk, shadings) = queue.take_oldest()?;
+    take(Shaded { receivers: &chunk.receivers, shadings, attached })
+}
+
 /// Shades a stream of receivers: `fill` pushes them into a [`Feed`] chunk by chunk, `take` gets each chunk with its results, in the order
-/// of pushing; both run on the calling thread while workers shade. Within a chunk, batches of Morton neighbors go to the workers one after
-/// the other, so that these share pages.
+/// of pushing; both run on the calling thread.
 ///
-/// Which worker shades which batch is left to chance; the results are not. Holds [`CHUNKS_IN_FLIGHT`] chunks and what `fill` and `take`
-/// hold.
+/// Where each receiver gathers for itself, workers shade while `fill` and `take` run; batches of Morton neighbors go to them one after the other, so
+/// that these share pages. Which worker shades which batch is left to chance; the results are not. Holds [`CHUNKS_IN_FLIGHT`] chunks and what
+/// `fill` and `take` hold.
+///
+/// Where receivers share records ([`GatherSettings::tolerance`]), a chunk is shaded when it is pushed; its records are left in `kept` for the next one,
+/// [`RECORD_BYTES`](crate::RECORD_BYTES) for each receiver at most.
 ///
 /// # Errors
 ///
@@ -187,10 +214,31 @@ pub fn shade_stream<'r, T, E: From<ScheduleError>>(
     octree: &Octree,
     light: Option<&PreparedLight>,
     options: &ShadeOptions<'_>,
+    kept: &mut KeptRecords,
     fill: impl FnOnce(&mut Feed<'_, 'r, T, E>) -> Result<(), E>,
     mut take: impl FnMut(Shaded<'_, T>) -> Result<(), E>,
 ) -> Result<ShadeReport, E> {
     let start = std::time::Instant::now();
+    let mut report = if options.gather.tolerance > 0.0 {
+        let mut shader = RecordShader::new(octree, light, options, kept);
+        let mut shade = |receivers: &[Receiver]| shader.shade(receivers);
+        fill(&mut Feed { shades: Shades::ByRecords(&mut shade), pushed: 0, take: &mut take })?;
+        shader.report()
+    } else {
+        shade_alone(octree, light, options, fill, &mut take)?
+    };
+    report.seconds = start.elapsed().as_secs_f64();
+    Ok(report)
+}
+
+/// Shades a stream of receivers of which each gathers for itself.
+fn shade_alone<'r, T, E: From<ScheduleError>>(
+    octree: &Octree,
+    light: Option<&PreparedLight>,
+    options: &ShadeOptions<'_>,
+    fill: impl FnOnce(&mut Feed<'_, 'r, T, E>) -> Result<(), E>,
+    take: &mut dyn FnMut(Shaded<'_, T>) -> Result<(), E>,
+) -> Result<ShadeReport, E> {
     let queue = Queue::default();
     let work = || {
         let guard = StopOnDrop(&queue);
@@ -205,8 +253,8 @@ pub fn shade_stream<'r, T, E: From<ScheduleError>>(
         }
         let guard = StopOnDrop(&queue);
         let attached = VecDeque::with_capacity(CHUNKS_IN_FLIGHT);
-        let (queue, order, take) = (&queue, options.order, &mut take);
-        let mut feed = Feed { queue, order, attached, pushed: 0, take };
+        let shades = Shades::Alone { queue: &queue, order: options.order, attached };
+        let mut feed = Feed { shades, pushed: 0, take };
         let fed = fill(&mut feed).and_then(|()| feed.drain());
         drop(guard);
         let join = |worker: std::thread::ScopedJoinHandle<'_, ShadeReport>| {
@@ -217,7 +265,6 @@ pub fn shade_stream<'r, T, E: From<ScheduleError>>(
     fed?;
     let mut report = ShadeReport::default();
     parts.iter().for_each(|part| report.add(part));
-    report.seconds = start.elapsed().as_secs_f64();
     Ok(report)
 }
 
@@ -294,6 +341,7 @@ pub fn shade_receivers(
         octree,
         light,
         options,
+        &mut KeptRecords::default(),
         |feed: &mut Feed<'_, '_, (), ScheduleError>| feed.push(Cow::Borrowed(receivers), ()),
         |chunk| {
             shadings = chunk.shadings;
@@ -319,7 +367,7 @@ fn check_receivers(receivers: &[Receiver], first: u64) -> Result<(), ScheduleErr
 }
 
 /// Indices of the receivers along the Morton curve of their own bounds, ties in the order given.
-fn morton_order(receivers: &[Receiver]) -> Vec<u32> {
+pub(crate) fn morton_order(receivers: &[Receiver]) -> Vec<u32> {
     let root = RootCube::from_bounds(&Aabb::from_points(receivers.iter().map(|r| r.position)));
     let mut keyed: Vec<(u64, u32)> =
         receivers.iter().enumerate().map(|(i, r)| (root.code(r.position).0, i as u32)).collect();

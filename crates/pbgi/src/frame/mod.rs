@@ -24,7 +24,7 @@ use pbgi_image::{
     write_png, write_windowed_exr,
 };
 use pbgi_math::{Aabb, DVec3};
-use pbgi_scene::{CameraView, HideOptions, Micropolygon, PixelWindow, Scene, hide};
+use pbgi_scene::{CameraView, Micropolygon, PixelWindow, Scene, hide};
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -149,6 +149,8 @@ impl<'a> FrameJob<'a> {
     fn prepare(request: &'a FrameRequest<'a>, cancel: &'a AtomicBool) -> Result<Self, PbgiError> {
         let start = Instant::now();
         let settings = &request.settings;
+        // What memory is asked for follows from it.
+        request.hide_options(None).check_shading_rate()?;
         let header = read_header(request.octree)?;
         let environment = settings.load_environment(&header)?;
         let split = MemorySplit::measure(settings);
@@ -215,8 +217,7 @@ impl<'a> FrameJob<'a> {
         let (width, height) = (small(self.view.width), small(self.view.height));
         let view = CameraView { width, height, ..self.view.clone() };
         // Slivers at edges err most, and only samples within pixels see as many of them as the picture does.
-        let (samples, shading_rate) = (self.request.samples, self.request.shading_rate);
-        let options = HideOptions { samples, shading_rate, window: None };
+        let options = self.request.hide_options(None);
         let pieces: Vec<Piece> = match self.request.scene {
             Some(scene) => {
                 hide(scene, &view, &options)?.micropolygons.iter().map(Piece::from).collect()
@@ -232,11 +233,7 @@ impl<'a> FrameJob<'a> {
     }
 
     fn hide(&self, window: PixelWindow) -> Result<Band, PbgiError> {
-        let options = HideOptions {
-            samples: self.request.samples,
-            shading_rate: self.request.shading_rate,
-            window: Some(window),
-        };
+        let options = self.request.hide_options(Some(window));
         let Some(scene) = self.request.scene else {
             let (octree, up) = (&self.session.octree, self.session.up());
             return hide_surfels(octree, &self.view, &options, up, self.cancel);
@@ -360,7 +357,8 @@ fn frame_bytes(request: &FrameRequest<'_>) -> (u64, u64) {
     };
     let depth = if request.scene.is_none() { 12 * u64::from(request.samples) } else { 0 };
     let per_pixel = (piece * pieces_per_pixel) as u64 + depth + 160;
-    (image, width * per_pixel)
+    let records = request.settings.record_bytes() as f64 * pieces_per_pixel;
+    (image, width * (per_pixel + records as u64))
 }
 
 #[cfg(test)]

@@ -230,6 +230,7 @@ pub(crate) fn settings_attributes(
         ("pbgi:octree".to_owned(), Text(file_name(octree))),
         ("pbgi:surfels".to_owned(), Text(report.surfels.to_string())),
         ("pbgi:solidAngle".to_owned(), Float(report.solid_angle_sr)),
+        ("pbgi:interpolation".to_owned(), Float(report.interpolation)),
         ("pbgi:importance".to_owned(), Text(settings.importance.to_string())),
         ("pbgi:raster".to_owned(), Int(settings.raster_edge as i32)),
         ("pbgi:bias".to_owned(), Float(settings.bias)),

@@ -3,7 +3,7 @@
 use crate::frame::camera_choice::CameraChoice;
 use crate::shade::ShadeSettings;
 use pbgi_image::{Aov, AovNames};
-use pbgi_scene::Scene;
+use pbgi_scene::{HideOptions, PixelWindow, Scene};
 use std::path::Path;
 
 /// What picture to make.
@@ -30,6 +30,13 @@ pub struct FrameRequest<'a> {
     pub names: AovNames,
     /// Quality, light and resources.
     pub settings: ShadeSettings,
+}
+
+impl FrameRequest<'_> {
+    /// How finely a part of the picture, or all of it, is hidden.
+    pub(crate) fn hide_options(&self, window: Option<PixelWindow>) -> HideOptions {
+        HideOptions { samples: self.samples, shading_rate: self.shading_rate, window }
+    }
 }
 
 /// The quantities a frame can have. [`Aov::SpecularIndirect`] is 0 without [`ShadeSettings::gloss`].

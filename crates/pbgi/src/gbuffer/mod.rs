@@ -111,7 +111,7 @@ pub fn shade_gbuffer(
             request.gbuffer.display()
         )));
     }
-    let bytes = result_bytes(&gbuffer, &request.aovs);
+    let bytes = result_bytes(&gbuffer, &request.aovs, settings);
     let split = MemorySplit::measure(settings).grant(bytes, bytes)?;
     let mut session = Session::open(request.octree, settings, environment, split, 0, cancel)?;
     let far = far_pixels(&session.octree, &gbuffer, request, &to_octree)?;
@@ -204,10 +204,10 @@ fn find_eye(request: &GBufferRequest<'_>, header: &Header) -> Result<Option<DVec
 }
 
 /// Bytes of the result and of what making it takes beside the G-buffer.
-fn result_bytes(gbuffer: &GBuffer, aovs: &[Aov]) -> u64 {
+fn result_bytes(gbuffer: &GBuffer, aovs: &[Aov], settings: &ShadeSettings) -> u64 {
     let pixels = (gbuffer.width * gbuffer.height) as u64;
-    let per_chunk = CHUNK_RECEIVERS * CHUNKS_IN_FLIGHT * RECEIVER_BYTES_IN_FLIGHT;
-    pixels * (4 * channel_count(aovs) as u64 + 12 + 4 + 1) + per_chunk as u64
+    let each = (CHUNKS_IN_FLIGHT * RECEIVER_BYTES_IN_FLIGHT) as u64 + settings.record_bytes();
+    pixels * (4 * channel_count(aovs) as u64 + 12 + 4 + 1) + CHUNK_RECEIVERS as u64 * each
 }
 
 /// Shades the pixels in their order.

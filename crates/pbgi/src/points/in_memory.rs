@@ -100,7 +100,7 @@ pub fn shade_receivers(
     let header = read_header(request.octree)?;
     let environment = settings.load_environment(&header)?;
     let points = Points::new(request, header.origin);
-    let bytes = chunk_bytes(size_of::<u32>());
+    let bytes = chunk_bytes(size_of::<u32>(), settings);
     let split = MemorySplit::measure(settings).grant(bytes, bytes)?;
     let mut session = Session::open(request.octree, settings, environment, split, 0, cancel)?;
     let extra =

@@ -117,7 +117,7 @@ pub fn shade_points(
     let mut writer = ResultWriter::create(request, rows.as_ref(), origin)?;
     let attached =
         rows.as_ref().map_or(SURFEL_BYTES, |rows| ROW_BYTES + COLUMN_BYTES * rows.columns().len());
-    let chunk_bytes = chunk_bytes(attached);
+    let chunk_bytes = chunk_bytes(attached, &request.settings);
     let writer_bytes = if is_scan_name(request.target) { SCAN_WRITER_BYTES } else { 0 };
     let frame_bytes = chunk_bytes + writer_bytes;
     let split = MemorySplit::measure(settings).grant(frame_bytes, frame_bytes)?;

@@ -90,7 +90,7 @@ fn mix(index: u64) -> u64 {
 }
 
 /// Error of a result against the exhaustive gather of the same receivers (solid angle 0, same
-/// raster): the error of the cut. See [`pbgi_image::ErrorMetrics`] for the measures.
+/// raster): that of the cut and of interpolation. See [`pbgi_image::ErrorMetrics`] for the measures.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CheckReport {
     /// Receivers gathered again.
@@ -111,13 +111,16 @@ pub struct CheckReport {
     pub cut_mean: f64,
     /// Seconds the exhaustive gathers took.
     pub seconds: f64,
+    /// What of the error is due to interpolation: the result against gathers of each receiver by itself with the same cut. None where nothing is
+    /// interpolated.
+    pub interpolation: Option<PartReport>,
     /// Error of glossy reflections, if there are any.
-    pub gloss: Option<GlossReport>,
+    pub gloss: Option<PartReport>,
 }
 
-/// Error of glossy reflections.
+/// A part of the error.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct GlossReport {
+pub struct PartReport {
     /// Relative root mean square error; 0.01 is one percent.
     pub rrmse: f64,
     /// Mean error relative to the mean.
@@ -126,7 +129,13 @@ pub struct GlossReport {
     pub p99: f64,
 }
 
-impl GlossReport {
+impl PartReport {
+    /// Compares irradiance, or ambient occlusion where there is no light; none where both are black.
+    pub(crate) fn of_light(results: &[Sampled], references: &[Shading]) -> Option<Self> {
+        let (metrics, _) = measure(results.iter().map(|s| &s.shading), references).ok()?;
+        Some(metrics.into())
+    }
+
     /// Compares what is reflected glossily; none where nothing is.
     fn of_gloss<'a>(
         results: impl Iterator<Item = &'a Shading>,
@@ -134,8 +143,13 @@ impl GlossReport {
     ) -> Option<Self> {
         let results: Vec<f32> = results.flat_map(|s| s.reflected).collect();
         let truths: Vec<f32> = references.iter().flat_map(|s| s.reflected).collect();
-        let ErrorMetrics { rrmse, bias, p99, .. } = compare(&results, &truths).ok()?;
-        Some(Self { rrmse, bias, p99 })
+        Some(compare(&results, &truths).ok()?.into())
+    }
+}
+
+impl From<ErrorMetrics> for PartReport {
+    fn from(ErrorMetrics { rrmse, bias, p99, .. }: ErrorMetrics) -> Self {
+        Self { rrmse, bias, p99 }
     }
 }
 
@@ -221,7 +235,8 @@ impl CheckReport {
             max,
             cut_mean: cuts / references.len().max(1) as f64,
             seconds: 0.0,
-            gloss: GlossReport::of_gloss(sample.iter().map(|s| &s.shading), references),
+            interpolation: None,
+            gloss: PartReport::of_gloss(sample.iter().map(|s| &s.shading), references),
         })
     }
 }

@@ -11,7 +11,7 @@ use crate::budget::reading::read_within;
 use crate::budget::split::{MemorySplit, node_bytes};
 use crate::figures::{format_bytes, format_count, format_seconds};
 use crate::progress::Progress;
-use crate::shade::check::{CheckReport, CheckSample};
+use crate::shade::check::{CheckReport, CheckSample, PartReport};
 use crate::shade::statistics::{CacheReport, CutReport, LevelReport};
 use crate::shade::target::{Calibration, TargetReport};
 use pbgi_format::{Channels, Header};
@@ -22,8 +22,8 @@ use pbgi_image::read_environment_noting_within;
 use pbgi_light::{Environment, EnvironmentOptions, UpAxis};
 use pbgi_math::Vec3;
 use pbgi_schedule::{
-    CHUNKS_IN_FLIGHT, Feed, RECEIVER_BYTES_IN_FLIGHT, ShadeOptions, ShadeReport as ScheduleReport,
-    Shaded, shade_receivers, shade_stream,
+    CHUNKS_IN_FLIGHT, Feed, KeptRecords, RECEIVER_BYTES_IN_FLIGHT, RECORD_BYTES, ShadeOptions,
+    ShadeReport as ScheduleReport, Shaded, shade_receivers, shade_stream,
 };
 use pbgi_store::{Backend, Octree, OpenOptions};
 use serde::Serialize;
@@ -37,11 +37,11 @@ use std::time::Instant;
 pub(crate) const CHUNK_RECEIVERS: usize = 1 << 14;
 
 /// Bytes of all chunks under way, where each receiver has `attached_bytes` beside it.
-pub(crate) fn chunk_bytes(attached_bytes: usize) -> u64 {
+pub(crate) fn chunk_bytes(attached_bytes: usize, settings: &ShadeSettings) -> u64 {
     // What is read into the next chunk and written from the last is held besides those in flight.
     let each =
         CHUNKS_IN_FLIGHT * RECEIVER_BYTES_IN_FLIGHT + (CHUNKS_IN_FLIGHT + 2) * attached_bytes;
-    (CHUNK_RECEIVERS * each) as u64
+    CHUNK_RECEIVERS as u64 * (each as u64 + settings.record_bytes())
 }
 
 /// Where distant light comes from.
@@ -215,6 +215,9 @@ pub struct ShadeSettings {
     /// Relative root mean square error to choose the solid angle for, by measuring a sample of the receivers; `solid_angle_sr` then
     /// does not count.
     pub target_error: Option<f64>,
+    /// Share of what a receiver gathers, but for peaks of the environment and gloss, that interpolating it between neighbors may be wrong by, 0..=1;
+    /// 0 gathers for each receiver by itself.
+    pub interpolation: f32,
     /// Which terms make the solid angle smaller or larger by direction.
     pub importance: ImportanceTerms,
     /// Texels along a face of the cube raster, 1 to 64.
@@ -253,6 +256,7 @@ impl Default for ShadeSettings {
         Self {
             solid_angle_sr: gather.solid_angle_sr,
             target_error: None,
+            interpolation: 0.0,
             importance: gather.importance,
             raster_edge: gather.raster_edge,
             gloss: None,
@@ -267,6 +271,9 @@ impl Default for ShadeSettings {
 }
 
 impl ShadeSettings {
+    /// The `interpolation` that programs use where none is asked for.
+    pub const USUAL_INTERPOLATION: f32 = 0.1;
+
     /// Checks the ranges of all numbers.
     ///
     /// # Errors
@@ -279,6 +286,9 @@ impl ShadeSettings {
         if !(self.solid_angle_sr >= 0.0 && self.solid_angle_sr.is_finite()) {
             let expected = "steradians of at least 0, such as 0.03";
             return out_of_range("the solid angle", &self.solid_angle_sr, expected);
+        }
+        if !(0.0..=1.0).contains(&self.interpolation) {
+            return out_of_range("the interpolation", &self.interpolation, "a share from 0 to 1");
         }
         if !(1..=64).contains(&self.raster_edge) {
             return out_of_range("the raster", &self.raster_edge, "1 to 64 texels along a face");
@@ -304,6 +314,16 @@ impl ShadeSettings {
         self.environment.as_ref().map(load).transpose()
     }
 
+    /// What interpolation may be wrong by: where an error is asked for, no more than twice that, since what it adds is a small part of it.
+    fn tolerance(&self) -> f32 {
+        self.target_error.map_or(self.interpolation, |t| self.interpolation.min(2.0 * t as f32))
+    }
+
+    /// Bytes of irradiance records per receiver of what is shaded as one.
+    pub(crate) fn record_bytes(&self) -> u64 {
+        if self.tolerance() > 0.0 { RECORD_BYTES as u64 } else { 0 }
+    }
+
     fn gather(&self, header: &Header) -> GatherSettings {
         GatherSettings {
             solid_angle_sr: self.solid_angle_sr,
@@ -312,6 +332,7 @@ impl ShadeSettings {
             bias: self.bias,
             node_bytes: node_bytes(self.memory_bytes, self.threads),
             up: up_axis(header),
+            tolerance: self.tolerance(),
             ..GatherSettings::default()
         }
     }
@@ -342,6 +363,8 @@ pub(crate) struct Session<'a> {
     trace: Option<PathBuf>,
     target: Option<TargetReport>,
     done: ScheduleReport,
+    /// Records of what was shaded last.
+    records: KeptRecords,
     memory: MemorySplit,
     /// What the user should know of, one sentence each.
     pub warnings: Vec<String>,
@@ -398,6 +421,7 @@ impl<'a> Session<'a> {
             trace: settings.io.trace.clone(),
             target: None,
             done: ScheduleReport::default(),
+            records: KeptRecords::default(),
             memory,
             warnings,
         })
@@ -471,12 +495,16 @@ impl<'a> Session<'a> {
     ) -> Result<Vec<Shading>, PbgiError> {
         let options = self.options(parts, advance);
         let mut shadings = Vec::with_capacity(receivers.len());
+        let mut records = std::mem::take(&mut self.records);
+        // What shares records is shaded as one.
+        let chunk = if self.gather.tolerance > 0.0 { receivers.len() } else { CHUNK_RECEIVERS };
         let report = shade_stream(
             &self.octree,
             self.light.as_ref(),
             &options,
+            &mut records,
             |feed: &mut Feed<'_, '_, (), PbgiError>| {
-                let mut chunks = receivers.chunks(CHUNK_RECEIVERS);
+                let mut chunks = receivers.chunks(chunk.max(1));
                 chunks.try_for_each(|chunk| feed.push(Cow::Borrowed(chunk), ()))
             },
             |chunk| {
@@ -485,6 +513,7 @@ impl<'a> Session<'a> {
                 Ok(())
             },
         )?;
+        self.records = records;
         self.done.add(&report);
         Ok(shadings)
     }
@@ -499,12 +528,13 @@ impl<'a> Session<'a> {
     ) -> Result<(), PbgiError> {
         let options = self.options(GatherParts::All, advance);
         let Self { octree, light, sample, done, .. } = self;
-        let report =
-            shade_stream(octree, light.as_ref(), &options, fill, |chunk: Shaded<'_, T>| {
-                check_finite(chunk.receivers, &chunk.shadings)?;
-                sample.offer_all(chunk.receivers, None, &chunk.shadings);
-                take(chunk)
-            })?;
+        let mut records = std::mem::take(&mut self.records);
+        let take = |chunk: Shaded<'_, T>| {
+            check_finite(chunk.receivers, &chunk.shadings)?;
+            sample.offer_all(chunk.receivers, None, &chunk.shadings);
+            take(chunk)
+        };
+        let report = shade_stream(octree, light.as_ref(), &options, &mut records, fill, take)?;
         done.add(&report);
         Ok(())
     }
@@ -533,14 +563,13 @@ impl<'a> Session<'a> {
             written.map_err(|source| PbgiError::output(trace, "write", source))?;
         }
         let damaged_pages = self.damaged_pages();
-        let mean = |sum: u64| sum as f64 / receivers.max(1) as f64;
-        let ScheduleReport { cut, seconds, .. } = self.done;
+        let ScheduleReport { cut, cut_sizes, seconds, .. } = self.done;
         Ok(ShadeReport {
             receivers,
             shade_seconds: seconds,
             receivers_per_second: receivers as f64 / seconds.max(1e-9),
-            cut_mean: mean(cut.cut_size()),
-            nodes_visited_mean: mean(cut.nodes_visited),
+            cut_mean: cut_sizes.mean(),
+            nodes_visited_mean: cut.nodes_visited as f64 / cut_sizes.count.max(1) as f64,
             cuts: CutReport::new(&self.done),
             levels: LevelReport::all(&cut.levels),
             cache,
@@ -550,6 +579,7 @@ impl<'a> Session<'a> {
             empty_pixels: 0,
             surfels: self.octree.header().surfel_count,
             solid_angle_sr: self.gather.solid_angle_sr,
+            interpolation: self.gather.tolerance,
             target: self.target,
             importance: self.gather.importance.to_string(),
             raster_edge: self.gather.raster_edge,
@@ -584,8 +614,9 @@ impl<'a> Session<'a> {
         let start = Instant::now();
         let receivers: Vec<Receiver> = sample.iter().map(|s| s.receiver).collect();
         let phase = progress.start_phase("check", "receivers", Some(receivers.len() as u64));
+        let alone = GatherSettings { tolerance: 0.0, ..self.gather };
         let options = ShadeOptions {
-            gather: GatherSettings { solid_angle_sr: 0.0, ..self.gather },
+            gather: GatherSettings { solid_angle_sr: 0.0, ..alone },
             threads: self.threads,
             cancel: self.cancel,
             progress: &|done| phase.set_done(done),
@@ -593,11 +624,19 @@ impl<'a> Session<'a> {
         };
         let light = self.light.as_ref();
         let (references, _) = shade_receivers(&self.octree, light, &receivers, &options)?;
-        drop(phase);
         let seconds = start.elapsed().as_secs_f64();
+        let same_cut = if self.gather.tolerance > 0.0 {
+            let options = ShadeOptions { gather: alone, progress: &|_| (), ..options };
+            Some(shade_receivers(&self.octree, light, &receivers, &options)?.0)
+        } else {
+            None
+        };
+        drop(phase);
         match CheckReport::new(sample, &references) {
             Ok(mut report) => {
                 report.seconds = seconds;
+                report.interpolation =
+                    same_cut.and_then(|alone| PartReport::of_light(sample, &alone));
                 Ok(Some(report))
             }
             Err(error) => {
@@ -679,6 +718,8 @@ pub struct ShadeReport {
     pub surfels: u64,
     /// Largest solid angle of a node in steradians.
     pub solid_angle_sr: f32,
+    /// Share that interpolation might be wrong by; 0 where each receiver gathered by itself.
+    pub interpolation: f32,
     /// How that was chosen, if an error was asked for.
     pub target: Option<TargetReport>,
     /// Terms of importance, separated by commas, or `off`.
@@ -705,6 +746,18 @@ impl ShadeReport {
         self.cuts.rows().into_iter().chain(self.cache.rows()).chain(levels).collect()
     }
 
+    /// How many receivers gathered by themselves.
+    fn gathers_text(&self) -> String {
+        let gathers = self.cuts.gathers as f64;
+        let share = gathers / self.receivers.max(1) as f64 * 100.0;
+        let count = format_count(gathers);
+        if self.interpolation > 0.0 {
+            format!("{count} ({share:.1} % of receivers)")
+        } else {
+            count
+        }
+    }
+
     /// The report as rows of a table: label and value.
     #[must_use]
     pub fn rows(&self) -> Vec<(&'static str, String)> {
@@ -717,6 +770,7 @@ impl ShadeReport {
             ("surfels", format_count(self.surfels as f64)),
             ("receivers", format_count(self.receivers as f64)),
             ("receivers per second", format_count(self.receivers_per_second.round())),
+            ("gathers", self.gathers_text()),
             ("mean cut size", format_count(self.cut_mean.round())),
             ("cache hit rate", format!("{:.3} %", self.cache.hit_rate * 100.0)),
             ("read amplification", format!("{:.2}", self.cache.read_amplification)),
@@ -748,7 +802,11 @@ impl ShadeReport {
                 check.receivers,
                 format_seconds(check.seconds)
             );
-            rows.push(("cut error", error));
+            rows.push((if check.interpolation.is_some() { "error" } else { "cut error" }, error));
+            if let Some(part) = &check.interpolation {
+                let error = error_text(part.rrmse, part.bias, part.p99);
+                rows.push(("of interpolation alone", error));
+            }
             if let Some(gloss) = &check.gloss {
                 let error = error_text(gloss.rrmse, gloss.bias, gloss.p99);
                 rows.push(("cut error of gloss", error));

@@ -11,7 +11,7 @@ use serde::Serialize;
 pub struct CutReport {
     /// Batches handed to workers.
     pub batches: u64,
-    /// Receivers gathered, those of shared gathers more than once.
+    /// Receivers gathered; the others were interpolated.
     pub gathers: u64,
     /// Entries of a cut: mean, standard deviation, smallest and largest.
     pub size_mean: f64,
@@ -35,11 +35,11 @@ pub struct CutReport {
 
 impl CutReport {
     pub(crate) fn new(report: &ShadeReport) -> Self {
-        let mean = |sum: u64| sum as f64 / report.receivers.max(1) as f64;
         let sizes = &report.cut_sizes;
+        let mean = |sum: u64| sum as f64 / sizes.count.max(1) as f64;
         Self {
             batches: report.batches,
-            gathers: report.receivers,
+            gathers: sizes.count,
             size_mean: sizes.mean(),
             size_deviation: sizes.standard_deviation(),
             size_min: sizes.min(),

@@ -48,6 +48,19 @@ pub struct HideOptions {
     pub window: Option<PixelWindow>,
 }
 
+impl HideOptions {
+    /// Refuses a shading rate that is not a positive number.
+    ///
+    /// # Errors
+    ///
+    /// [`HideError::ShadingRate`].
+    pub fn check_shading_rate(&self) -> Result<(), HideError> {
+        let rate = self.shading_rate;
+        let is_good = rate > 0.0 && rate.is_finite();
+        if is_good { Ok(()) } else { Err(HideError::ShadingRate { rate }) }
+    }
+}
+
 impl Default for HideOptions {
     fn default() -> Self {
         Self { samples: 8, shading_rate: 1.0, window: None }
@@ -124,9 +137,7 @@ fn prepare(
 ) -> Result<(SamplePattern, TileGrid), HideError> {
     let pattern = SamplePattern::new(options.samples)
         .ok_or(HideError::Samples { samples: options.samples })?;
-    if !(options.shading_rate > 0.0 && options.shading_rate.is_finite()) {
-        return Err(HideError::ShadingRate { rate: options.shading_rate });
-    }
+    options.check_shading_rate()?;
     let (width, height) = (view.width, view.height);
     if !(1..=IMAGE_EDGE_MAX).contains(&width) || !(1..=IMAGE_EDGE_MAX).contains(&height) {
         return Err(HideError::Image { width, height });

@@ -53,7 +53,7 @@ pub fn rows(baked: &BakeReport, shaded: &ShadeReport) -> Vec<(&'static str, Stri
         };
         let receivers = check.receivers;
         let all = error(check.rrmse, check.bias, check.p99);
-        rows.push(("cut error", format!("{all} ({receivers} receivers)")));
+        rows.push(("error", format!("{all} ({receivers} receivers)")));
     }
     rows
 }

@@ -317,6 +317,12 @@ pub struct QualityArgs {
     #[arg(long, visible_alias = "maxsolidangle", value_name = "SR",
           default_value_t = ShadeSettings::default().solid_angle_sr)]
     pub solid_angle: f32,
+    /// Error that interpolation may add; 0 gathers for each
+    ///
+    /// Receivers whose neighbors' light tells theirs are interpolated, by irradiance gradients; sharp shadows of suns and gloss never are. The mean of
+    /// what it adds is about a tenth of this; --check tells.
+    #[arg(long, value_name = "SHARE", value_parser = parse_share_or_none, default_value = "10%")]
+    pub interpolation: f32,
     /// What makes nodes smaller in some directions than in others
     ///
     /// Some of env,lobe,cosine,radiance,quality, or all or off: bright parts of the environment, what a glossy surface reflects
@@ -324,13 +330,14 @@ pub struct QualityArgs {
     #[arg(long, value_name = "TERMS", default_value = "all", hide_short_help = true)]
     pub importance: ImportanceTerms,
     /// Texels along a face of the cube raster
-    #[arg(long, value_name = "N", default_value_t = ShadeSettings::default().raster_edge)]
+    #[arg(long, value_name = "N", default_value_t = ShadeSettings::default().raster_edge,
+          hide_short_help = true)]
     pub raster: usize,
     /// Surfels that rise less than this share of their radius above a receiver are its own surface
     #[arg(long, value_name = "SHARE", default_value_t = ShadeSettings::default().bias,
           hide_short_help = true)]
     pub bias: f32,
-    /// Gather N receivers without approximation, print the error
+    /// Gather N receivers by every surfel, print the error
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub check: usize,
 }
@@ -510,6 +517,11 @@ fn parse_share(text: &str) -> Result<f64, String> {
     })
 }
 
+/// The same, or 0.
+fn parse_share_or_none(text: &str) -> Result<f32, String> {
+    if text.trim() == "0" { Ok(0.0) } else { parse_share(text).map(|share| share as f32) }
+}
+
 /// Three coordinates in double precision: survey coordinates have millions of meters.
 fn parse_place(text: &str) -> Result<[f64; 3], String> {
     let parts: Option<Vec<f64>> = text
@@ -557,6 +569,11 @@ mod tests {
             assert!(parse(&bad).is_err(), "{bad:?}");
         }
         assert!(parse(&["--importance", "env,glow"]).is_err());
+        let interpolation = |words: &[&str]| parse(words).map(|a| a.quality.interpolation);
+        assert_eq!(interpolation(&[]).unwrap(), ShadeSettings::USUAL_INTERPOLATION);
+        assert_eq!(interpolation(&["--interpolation", "0"]).unwrap(), 0.0);
+        assert_eq!(interpolation(&["--interpolation", "5%"]).unwrap(), 0.05);
+        assert!(interpolation(&["--interpolation", "-1"]).is_err());
         let target = |text| parse(&["--target-error", text]).map(|a| a.quality.target_error);
         assert_eq!((target("2%").unwrap(), target("0.5").unwrap()), (Some(0.02), Some(0.5)));
         assert!(target("0").is_err() && target("2 percent").is_err());

@@ -152,7 +152,13 @@ fn previews_and_statistics_are_written() {
         "--progress",
         "none",
     ]);
-    for label in ["receivers per second", "cut error", "peak memory", "read amplification"] {
+    for label in [
+        "receivers per second",
+        "error",
+        "of interpolation alone",
+        "peak memory",
+        "read amplification",
+    ] {
         assert!(table.contains(label), "{table}");
     }
     assert!(std::fs::read(&png).unwrap().starts_with(b"\x89PNG"));

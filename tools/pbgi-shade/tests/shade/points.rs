@@ -134,7 +134,12 @@ fn the_measured_error_vanishes_with_the_solid_angle() {
     bake_to("demo:room", 4000, &octree);
     let output = folder.path().join("out.ply");
     let error = |solid_angle: &str| {
-        let stats = shade_surfels(&octree, &output, solid_angle, &["--check", "50"]);
+        let stats = shade_surfels(
+            &octree,
+            &output,
+            solid_angle,
+            &["--check", "50", "--interpolation", "0"],
+        );
         assert_eq!(stats["check"]["quantity"], "irradiance");
         stats["check"]["rrmse"].as_f64().unwrap()
     };

@@ -1,0 +1,389 @@
+//! Receivers that share irradiance records: some gather, the others blend what these have found.
+//!
+//! A chunk is shaded in three steps, each by all workers. Runs of neighbors along the Morton curve are covered with records, each run by itself, from
+//! coarse to fine. Records are limited to where those around agree with them, whatever run made them. Then each receiver takes the mean of what the
+//! records around it say, and gathers only where none serves. So results depend on the chunk and on those before it, and on nothing else.
+
+use crate::shade::{ScheduleError, ShadeOptions, ShadeReport, morton_order};
+use crate::spread::Spread;
+use pbgi_gather::{
+    Blend, GatherParts, Gatherer, PreparedLight, Receiver, Record, Shading, Tolerance,
+};
+use pbgi_math::{Aabb, Vec3};
+use pbgi_store::Octree;
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+/// Receivers of a run. Of half as many, more lie at borders between runs, and more gather for themselves; twice as many leave less work to share out.
+const RUN_RECEIVERS: usize = 512;
+
+/// Receivers, or records, that look for the records around them together.
+const BLOCK: usize = 64;
+
+/// Expected error over the tolerance from which a receiver gathers for itself: below 1, so that records overlap where they are blended.
+const COVERED: f32 = 0.5;
+
+/// Times that receivers which no record serves any more, as records disagree, gather records of their own; then each gathers for itself.
+const ROUNDS_MAX: u32 = 4;
+
+/// Receivers of a chunk whose mean tells what is dark.
+const SAMPLE_RECEIVERS: usize = 32;
+
+/// Receivers of a chunk per record that is kept for the next one: those that reach farthest.
+const KEPT_DIVISOR: usize = 4;
+
+/// Bytes held per receiver, where each gathers for itself.
+pub const RECORD_BYTES: usize = {
+    let each = size_of::<Record>() + size_of::<[f32; 4]>();
+    each + each / KEPT_DIVISOR
+};
+
+/// Records of the chunks before, for the one that follows.
+#[derive(Debug, Default)]
+pub struct KeptRecords(Pool);
+
+/// Shades receivers chunk by chunk with records.
+pub(crate) struct RecordShader<'a, 'o, 'k> {
+    workers: Vec<Worker<'a>>,
+    options: &'o ShadeOptions<'o>,
+    kept: &'k mut KeptRecords,
+    receivers: u64,
+    runs: u64,
+}
+
+/// One thread's.
+struct Worker<'a> {
+    gatherer: Gatherer<'a>,
+    cut_sizes: Spread,
+}
+
+impl Worker<'_> {
+    /// Gathers broad light for a receiver.
+    fn gather_broad(&mut self, receiver: &Receiver) -> Result<Shading, ScheduleError> {
+        let shading = self.gatherer.broad(receiver)?;
+        self.cut_sizes.note(u64::from(shading.cut_size));
+        Ok(shading)
+    }
+
+    /// Gathers a record.
+    fn record(
+        &mut self,
+        receiver: &Receiver,
+        tolerance: &Tolerance,
+    ) -> Result<Record, ScheduleError> {
+        let before = self.gatherer.stats().cut_size();
+        let record = self.gatherer.record(receiver, tolerance)?;
+        self.cut_sizes.note(self.gatherer.stats().cut_size() - before);
+        Ok(record)
+    }
+}
+
+impl<'a, 'o, 'k> RecordShader<'a, 'o, 'k> {
+    pub fn new(
+        octree: &'a Octree,
+        light: Option<&'a PreparedLight>,
+        options: &'o ShadeOptions<'o>,
+        kept: &'k mut KeptRecords,
+    ) -> Self {
+        let worker = |_| Worker {
+            gatherer: Gatherer::new(octree.reader(), &options.gather, light),
+            cut_sizes: Spread::default(),
+        };
+        let workers = (0..options.threads.max(1)).map(worker).collect();
+        Self { workers, options, kept, receivers: 0, runs: 0 }
+    }
+
+    /// Shades a chunk, also with the records of the one before.
+    pub fn shade(&mut self, receivers: &[Receiver]) -> Result<Vec<Shading>, ScheduleError> {
+        if receivers.is_empty() {
+            return Ok(Vec::new());
+        }
+        let order = morton_order(receivers);
+        // Covering and blending count half each.
+        let halves = AtomicU64::new(2 * self.receivers);
+        let advance = |count: usize| {
+            let before = halves.fetch_add(count as u64, Ordering::Relaxed);
+            (self.options.progress)((before + count as u64) / 2);
+        };
+        let kept = std::mem::take(&mut self.kept.0);
+        let mut records = Pool { parts: vec![kept.within(receivers, &order)] };
+        drop(kept);
+        let (options, workers) = (self.options, &mut self.workers);
+        let sample: Vec<u32> =
+            coarse_to_fine(order.len()).take(SAMPLE_RECEIVERS).map(|place| order[place]).collect();
+        let sample = in_parallel(workers, options.cancel, sample.len(), |worker, number| {
+            worker.gather_broad(&receivers[sample[number] as usize])
+        })?;
+        let tolerance = Tolerance::new(options.gather.tolerance, &sample);
+        let runs: Vec<&[u32]> = order.chunks(RUN_RECEIVERS).collect();
+        for round in 0..ROUNDS_MAX {
+            let cover = Cover {
+                receivers,
+                present: &records,
+                tolerance: &tolerance,
+                cancel: options.cancel,
+            };
+            let made = in_parallel(workers, options.cancel, runs.len(), |worker, number| {
+                let made = cover.run(worker, runs[number])?;
+                advance(if round == 0 { runs[number].len() } else { 0 });
+                Ok(made)
+            })?;
+            if made.iter().all(|part| part.records.is_empty()) {
+                break;
+            }
+            records.parts.extend(made);
+            let count = records.parts.len();
+            let reaches = in_parallel(workers, options.cancel, count, |_, number| {
+                Ok(records.agreed_reaches(number, &tolerance))
+            })?;
+            for (part, reaches) in records.parts.iter_mut().zip(reaches) {
+                part.limit_reaches(&reaches);
+            }
+        }
+        let blocks: Vec<&[u32]> = order.chunks(BLOCK).collect();
+        let blended = in_parallel(workers, options.cancel, blocks.len(), |worker, number| {
+            let shadings = blend(worker, receivers, blocks[number], &records, options.gather.parts);
+            advance(blocks[number].len());
+            shadings
+        })?;
+        let mut shadings = vec![Shading::default(); receivers.len()];
+        for (index, shading) in order.iter().zip(blended.into_iter().flatten()) {
+            shadings[*index as usize] = shading;
+        }
+        self.runs += runs.len() as u64;
+        self.receivers += receivers.len() as u64;
+        self.kept.0 = records.most_useful(receivers.len() / KEPT_DIVISOR);
+        Ok(shadings)
+    }
+
+    /// What was done, but for the seconds.
+    pub fn report(&self) -> ShadeReport {
+        let (receivers, batches) = (self.receivers, self.runs);
+        let mut report = ShadeReport { receivers, batches, ..ShadeReport::default() };
+        for worker in &self.workers {
+            report.cut.add(&worker.gatherer.stats());
+            report.cut_sizes.add(&worker.cut_sizes);
+        }
+        report
+    }
+}
+
+/// Has the workers do pieces of work, and returns what comes of them in their order.
+fn in_parallel<'a, T: Send>(
+    workers: &mut [Worker<'a>],
+    cancel: &AtomicBool,
+    count: usize,
+    work: impl Fn(&mut Worker<'a>, usize) -> Result<T, ScheduleError> + Sync,
+) -> Result<Vec<T>, ScheduleError> {
+    let (next, stopped) = (AtomicUsize::new(0), AtomicBool::new(false));
+    let done: Mutex<Vec<(usize, Result<T, ScheduleError>)>> = Mutex::new(Vec::new());
+    let run = |worker: &mut Worker<'a>| {
+        while !stopped.load(Ordering::Relaxed) {
+            let number = next.fetch_add(1, Ordering::Relaxed);
+            if number >= count {
+                break;
+            }
+            let result = match cancel.load(Ordering::Relaxed) {
+                true => Err(ScheduleError::Cancelled),
+                false => work(worker, number),
+            };
+            stopped.fetch_or(result.is_err(), Ordering::Relaxed);
+            done.lock().unwrap_or_else(PoisonError::into_inner).push((number, result));
+        }
+    };
+    std::thread::scope(|scope| {
+        let run = &run;
+        let mut workers = workers.iter_mut();
+        let own = workers.next();
+        workers.for_each(|worker| {
+            scope.spawn(move || run(worker));
+        });
+        own.into_iter().for_each(run);
+    });
+    let mut done = done.into_inner().unwrap_or_else(PoisonError::into_inner);
+    done.sort_unstable_by_key(|(number, _)| *number);
+    done.into_iter().map(|(_, result)| result).collect()
+}
+
+/// What a run of receivers is covered by.
+struct Cover<'c> {
+    receivers: &'c [Receiver],
+    /// Records there are already.
+    present: &'c Pool,
+    tolerance: &'c Tolerance,
+    cancel: &'c AtomicBool,
+}
+
+impl Cover<'_> {
+    /// Records that cover, with those present, what of a run is not.
+    fn run(&self, worker: &mut Worker<'_>, run: &[u32]) -> Result<Records, ScheduleError> {
+        let present = self.present.within(self.receivers, run);
+        let mut made = Records::default();
+        for place in coarse_to_fine(run.len()) {
+            let receiver = &self.receivers[run[place] as usize];
+            let covers = |record: &Record| record.error_at(receiver) < COVERED;
+            let is_covered = |records: &Records| records.any_around(receiver.position, covers);
+            if is_covered(&present) || is_covered(&made) {
+                continue;
+            }
+            if self.cancel.load(Ordering::Relaxed) {
+                return Err(ScheduleError::Cancelled);
+            }
+            let mut record = worker.record(receiver, self.tolerance)?;
+            made.agree(&mut record, self.tolerance);
+            made.push(record);
+        }
+        Ok(made)
+    }
+}
+
+/// The numbers below `count`, each as far from those before as may be.
+fn coarse_to_fine(count: usize) -> impl Iterator<Item = usize> {
+    let bits = count.next_power_of_two().trailing_zeros();
+    let reverse = move |i: usize| i.reverse_bits().checked_shr(usize::BITS - bits).unwrap_or(0);
+    (0..1 << bits).map(reverse).filter(move |place| *place < count)
+}
+
+/// What the receivers of a block receive.
+fn blend(
+    worker: &mut Worker<'_>,
+    receivers: &[Receiver],
+    block: &[u32],
+    records: &Pool,
+    parts: GatherParts,
+) -> Result<Vec<Shading>, ScheduleError> {
+    let near = records.within(receivers, block);
+    let mut shadings = Vec::with_capacity(block.len());
+    for &index in block {
+        let receiver = &receivers[index as usize];
+        let mut blend = Blend::default();
+        near.records.iter().for_each(|record| blend.add(record, receiver));
+        let mut shading = match blend.shading(receiver) {
+            Some(shading) => shading,
+            None => worker.gather_broad(receiver)?,
+        };
+        if parts == GatherParts::All {
+            worker.gatherer.add_sharp(receiver, &mut shading)?;
+        }
+        shadings.push(shading);
+    }
+    Ok(shadings)
+}
+
+/// Square of the distance from a point to a box.
+fn distance2(bounds: &Aabb, point: Vec3) -> f32 {
+    (point - point.clamp(bounds.min, bounds.max)).length_squared()
+}
+
+/// Records, and the balls in which they serve.
+#[derive(Debug, Default)]
+struct Records {
+    records: Vec<Record>,
+    balls: Vec<[f32; 4]>,
+}
+
+/// The ball of a record: its position, and the square of its reach.
+fn ball(record: &Record) -> [f32; 4] {
+    let [x, y, z] = record.position().to_array();
+    [x, y, z, record.reach() * record.reach()]
+}
+
+/// The middle of a ball.
+fn center(&[x, y, z, _]: &[f32; 4]) -> Vec3 {
+    Vec3::new(x, y, z)
+}
+
+impl Records {
+    fn push(&mut self, record: Record) {
+        self.balls.push(ball(&record));
+        self.records.push(record);
+    }
+
+    fn reaches(&self) -> impl Iterator<Item = f32> {
+        self.records.iter().map(Record::reach)
+    }
+
+    /// Leaves out records of which something does not hold.
+    fn retain(&mut self, holds: impl Fn(&Record) -> bool) {
+        self.records.retain(holds);
+        self.records.shrink_to_fit();
+        self.balls = self.records.iter().map(ball).collect();
+    }
+
+    /// Whether something holds of any record in whose ball a place lies.
+    fn any_around(&self, place: Vec3, holds: impl Fn(&Record) -> bool) -> bool {
+        let is_in = |ball: &[f32; 4]| place.distance_squared(center(ball)) < ball[3];
+        self.balls.iter().zip(&self.records).any(|(ball, record)| is_in(ball) && holds(record))
+    }
+
+    /// Limits a new record and those that are here to where they agree.
+    fn agree(&mut self, new: &mut Record, tolerance: &Tolerance) {
+        let mut reach = new.reach();
+        for (record, ball) in self.records.iter_mut().zip(&mut self.balls) {
+            reach = reach.min(new.reach_beside(record, tolerance));
+            let limited = record.reach_beside(new, tolerance);
+            record.limit_reach(limited);
+            ball[3] = record.reach() * record.reach();
+        }
+        new.limit_reach(reach);
+    }
+
+    fn limit_reaches(&mut self, reaches: &[f32]) {
+        for ((record, place), reach) in self.records.iter_mut().zip(&mut self.balls).zip(reaches) {
+            record.limit_reach(*reach);
+            *place = ball(record);
+        }
+    }
+}
+
+/// Records of several runs.
+#[derive(Debug, Default)]
+struct Pool {
+    parts: Vec<Records>,
+}
+
+impl Pool {
+    /// Those that may serve for some of the receivers.
+    fn within(&self, receivers: &[Receiver], chosen: &[u32]) -> Records {
+        let positions = chosen.iter().map(|&index| receivers[index as usize].position);
+        let bounds = Aabb::from_points(positions);
+        self.chosen(|ball| distance2(&bounds, center(ball)) < ball[3])
+    }
+
+    /// The `count` that reach farthest, or a few less.
+    fn most_useful(mut self, count: usize) -> Self {
+        let mut reaches: Vec<f32> = self.parts.iter().flat_map(Records::reaches).collect();
+        if reaches.len() > count {
+            let (_, least, _) = reaches.select_nth_unstable_by(count, |a, b| b.total_cmp(a));
+            let least = *least;
+            self.parts.iter_mut().for_each(|part| part.retain(|record| record.reach() > least));
+        }
+        self
+    }
+
+    /// Those whose balls are chosen.
+    fn chosen(&self, is_chosen: impl Fn(&[f32; 4]) -> bool) -> Records {
+        let mut found = Records::default();
+        for part in &self.parts {
+            let balls = part.balls.iter().zip(&part.records);
+            balls.filter(|(ball, _)| is_chosen(ball)).for_each(|(_, record)| found.push(*record));
+        }
+        found
+    }
+
+    /// Reaches of the records of a part to where they agree with all.
+    fn agreed_reaches(&self, number: usize, tolerance: &Tolerance) -> Vec<f32> {
+        let mut reaches = Vec::with_capacity(self.parts[number].records.len());
+        for block in self.parts[number].records.chunks(BLOCK) {
+            let bounds = Aabb::from_points(block.iter().map(Record::position));
+            let farthest = block.iter().map(Record::reach).fold(0.0, f32::max);
+            let near = self.chosen(|ball| distance2(&bounds, center(ball)) < farthest * farthest);
+            let agreed = |record: &Record| {
+                let beside = near.records.iter().map(|other| record.reach_beside(other, tolerance));
+                beside.fold(record.reach(), f32::min)
+            };
+            reaches.extend(block.iter().map(agreed));
+        }
+        reaches
+    }
+}
