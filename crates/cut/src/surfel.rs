@@ -35,7 +35,7 @@ pub struct CutSurfel {
     pub shape: SurfelShape,
     /// How far codes of its place and its normal may move any of it along its normal.
     pub rounding: f32,
-    /// Corners of a box around it from its center, larger by [`OUTLINE_RESERVE`].
+    /// Corners of a box around its rim, from its center.
     pub reach: [Vec3; 2],
     /// Radiance of the front, W·m⁻²·sr⁻¹.
     pub radiance: [f32; 3],
@@ -45,8 +45,13 @@ pub struct CutSurfel {
     pub front_only: bool,
 }
 
-/// Factor by which rectangles and triangles are drawn larger than they are: rounding and the codes' errors leave no gap between neighbors.
-pub const OUTLINE_RESERVE: f32 = 1.02;
+/// Share by which the rim of a rectangle reaches over its outline. Where the rims of two meet there is no gap between them: twice what codes move an
+/// outline by at most, 1.8 % (sizes 0.8 %, the direction of the edges 0.6 %, places 0.35 %).
+pub const RECTANGLE_RIM: f32 = 0.04;
+
+/// The same of a triangle, around its middle: codes move an outline of equal sides by up to 2.8 % (the foot of its height 1.2 %, the direction of the
+/// longest edge 1.1 %, places 0.5 %).
+pub const TRIANGLE_RIM: f32 = 0.06;
 
 /// Angle, in radians, by which codes of normals are off at most: of those that stand for rectangles and triangles, 0.07°.
 const NORMAL_ERROR: f32 = 1.25e-3;
@@ -59,11 +64,11 @@ impl CutSurfel {
         let &LeafSurfel { normal, radius, area, radiance, isotropic, front_only, .. } = surfel;
         let (shape, reach) = if surfel.is_triangle() {
             let corners = surfel.corners();
-            let [a, b, c] = corners.map(|corner| corner * OUTLINE_RESERVE);
+            let [a, b, c] = corners.map(|corner| corner * (1.0 + TRIANGLE_RIM));
             (SurfelShape::Triangle { corners }, [a.min(b).min(c), a.max(b).max(c)])
         } else if surfel.is_rectangle() {
             let (edges, half) = (surfel.tile.edges(normal), surfel.half_edges());
-            let [a, b] = half.map(|half| half * OUTLINE_RESERVE);
+            let [a, b] = half.map(|half| half * (1.0 + RECTANGLE_RIM));
             let reach = edges[0].abs() * a + edges[1].abs() * b;
             (SurfelShape::Rectangle { edges, half }, [-reach, reach])
         } else if isotropic {

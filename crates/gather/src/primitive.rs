@@ -1,7 +1,8 @@
 //! Surfels and pieces of clusters as shapes that rasters draw.
 
 use pbgi_cut::{
-    Cluster, CutSurfel, OUTLINE_RESERVE, OWN_SURFACE_COSINE, Piece, SurfelSeen, SurfelShape,
+    Cluster, CutSurfel, OWN_SURFACE_COSINE, Piece, RECTANGLE_RIM, SurfelSeen, SurfelShape,
+    TRIANGLE_RIM,
 };
 use pbgi_math::{Vec3, patch_solid_angle_factor};
 use pbgi_raster::{Disk, Ink, Section, Shape, Tile, Triangle, Veil};
@@ -86,7 +87,7 @@ pub(crate) struct Outline {
 
 /// Draws a surfel as what it stands for, or else as a disk, if it covers anything.
 #[inline(always)]
-pub(crate) fn draw_surfel<P: SurfelPen>(seen: &SurfelSeen<'_>, receiver_normal: Vec3, pen: &mut P) {
+pub(crate) fn draw_surfel<P: SurfelPen>(seen: &SurfelSeen<'_>, plane: Vec3, pen: &mut P) {
     if !blocks(seen) {
         return;
     }
@@ -94,17 +95,18 @@ pub(crate) fn draw_surfel<P: SurfelPen>(seen: &SurfelSeen<'_>, receiver_normal: 
     let (normal, opacity) = (surfel.normal, 1.0);
     match &surfel.shape {
         SurfelShape::Triangle { corners } => {
-            let triangle = surfel_triangle(normal, center, corners);
+            let triangle = surfel_triangle(seen, corners, plane);
             pen.draw(seen, &triangle, &Outline { normal, opacity, extent: surfel.radius });
         }
         SurfelShape::Rectangle { edges, half } => {
             let inverse = normal * (1.0 / normal.dot(center));
-            let half = half.map(|half| half * OUTLINE_RESERVE);
-            let tile = Tile { inverse, center, edges: *edges, half, distance_min: 0.0 };
+            let reach = half.map(|half| half * (1.0 + RECTANGLE_RIM));
+            let (edges, half, ground) = (*edges, *half, ground(seen, plane, RECTANGLE_RIM));
+            let tile = Tile { inverse, center, edges, half, reach, ground, side: side(seen) };
             pen.draw(seen, &tile, &Outline { normal, opacity, extent: half[0] });
         }
         SurfelShape::Disk => {
-            let (disk, normal, opacity) = surfel_disk(seen, receiver_normal);
+            let (disk, normal, opacity) = surfel_disk(seen, plane);
             pen.draw(seen, &disk, &Outline { normal, opacity, extent: disk.radius });
         }
     }
@@ -129,12 +131,25 @@ fn surfel_disk(seen: &SurfelSeen<'_>, receiver_normal: Vec3) -> (Disk, Vec3, f32
     (Disk { inverse, center, radius, distance_min }, normal, opacity)
 }
 
-/// The triangle that one with these corners around its center is drawn as.
+/// Which side of a surfel is seen: 0 for its front, 1 for its back.
 #[inline(always)]
-fn surfel_triangle(normal: Vec3, center: Vec3, corners: &[Vec3; 3]) -> Triangle {
-    let [a, b, c] = corners.map(|corner| center + corner * OUTLINE_RESERVE);
+fn side(seen: &SurfelSeen<'_>) -> u8 {
+    u8::from(seen.surfel.normal.dot(seen.center) > 0.0)
+}
+
+/// The ground of what stands on the receiver's surface: a rim bridges what codes move two outlines apart, and the ground is where it should be.
+#[inline(always)]
+fn ground(seen: &SurfelSeen<'_>, plane: Vec3, rim: f32) -> Vec3 {
+    plane * (2.0 / (rim * seen.surfel.radius))
+}
+
+/// The triangle that a surfel with these corners around its center is drawn as.
+#[inline(always)]
+fn surfel_triangle(seen: &SurfelSeen<'_>, corners: &[Vec3; 3], plane: Vec3) -> Triangle {
+    let (normal, center) = (seen.surfel.normal, seen.center);
     let inverse = normal * (1.0 / normal.dot(center));
-    Triangle::new(inverse, [a, b, c], 0.0)
+    let (corners, ground) = (corners.map(|c| center + c), ground(seen, plane, TRIANGLE_RIM));
+    Triangle::new(inverse, corners, TRIANGLE_RIM, ground, side(seen))
 }
 
 /// Whether a surfel covers anything: neither seen along its edge nor from behind where only its front is.

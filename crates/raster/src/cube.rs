@@ -3,7 +3,7 @@
 use crate::footprint::{BOXES, project_box, project_inside};
 use crate::lanes::{Lanes, SAMPLES};
 use crate::samples::{Veil, offset_sum, place, sample_near};
-use crate::shape::Shape;
+use crate::shape::{Rims, Shape};
 use crate::table::{CubeRasterTable, LANES};
 use crate::texel_light::TexelLight;
 use pbgi_math::{CubeFace, Vec3, larger};
@@ -256,6 +256,8 @@ pub struct CubeRaster {
     covered: Vec<u16>,
     /// Samples of each texel above the horizon.
     above: Vec<u16>,
+    /// Samples of each texel in rims.
+    rims: Vec<Rims>,
     /// Valid where `lit` says so.
     lights: Vec<TexelLight>,
     /// Texels that hold light, one bit each, per row of each face.
@@ -292,6 +294,7 @@ impl CubeRaster {
             normal: Vec3::Z,
             covered: vec![ALL; 6 * n * stride],
             above: vec![0; 6 * n * stride],
+            rims: vec![Rims::default(); 6 * n * stride],
             lights: vec![TexelLight::NONE; if shines { 6 * n * stride } else { 0 }],
             lit: vec![0; 6 * n],
             depths: vec![[0.0; SAMPLES]; 6 * n * stride],
@@ -329,6 +332,7 @@ impl CubeRaster {
     #[inline(always)]
     pub fn clear_above<L: Lanes>(&mut self, normal: Vec3, plane: Vec3) {
         self.lit.fill(0);
+        self.rims.fill(Rims::default());
         self.lamp_irradiance = [0.0; 3];
         self.normal = normal;
         for face in CubeFace::ALL {
@@ -614,7 +618,7 @@ impl CubeRaster {
         let [r0, r1] = range.rows.map(usize::from);
         for (number, (shape, ink)) in shapes.iter().enumerate() {
             let shape = shape.turned(face);
-            let inverse = shape.inverse();
+            let (inverse, side) = (shape.inverse(), shape.side());
             let opaque = ink.veil.is_opaque();
             let nearer = L::splat(1.0 + ink.tolerance);
             let mut met_here = 0;
@@ -633,6 +637,7 @@ impl CubeRaster {
                     let x = self.sample_columns::<L>(column);
                     let w = w_row.add(L::splat(inverse.y).mul(x));
                     let met = shape.meets([L::splat(1.0), x, y], w);
+                    let met = met.close(side, &mut self.rims[index]);
                     column += 1;
                     if met == 0 {
                         continue;

@@ -20,6 +20,8 @@ pub trait Lanes: Copy + sealed::Sealed {
     fn sub(self, other: Self) -> Self;
     /// Product.
     fn mul(self, other: Self) -> Self;
+    /// Without the sign.
+    fn abs(self) -> Self;
     /// Lanes that are less than or equal to the other's.
     fn le(self, other: Self) -> Self::Mask;
     /// Lanes in both.
@@ -78,6 +80,10 @@ impl Lanes for Plain {
     #[inline(always)]
     fn mul(self, other: Self) -> Self {
         self.zip(other, |a, b| a * b)
+    }
+    #[inline(always)]
+    fn abs(self) -> Self {
+        Self(self.0.map(f32::abs))
     }
     #[inline(always)]
     fn le(self, other: Self) -> u16 {
@@ -168,6 +174,13 @@ pub(crate) mod x86 {
             unsafe { Self(_mm256_mul_ps(self.0, o.0), _mm256_mul_ps(self.1, o.1)) }
         }
         #[inline(always)]
+        fn abs(self) -> Self {
+            unsafe {
+                let sign = _mm256_set1_ps(-0.0);
+                Self(_mm256_andnot_ps(sign, self.0), _mm256_andnot_ps(sign, self.1))
+            }
+        }
+        #[inline(always)]
         fn le(self, o: Self) -> Self::Mask {
             unsafe {
                 (_mm256_cmp_ps::<_CMP_LE_OQ>(self.0, o.0), _mm256_cmp_ps::<_CMP_LE_OQ>(self.1, o.1))
@@ -250,6 +263,10 @@ pub(crate) mod x86 {
         #[inline(always)]
         fn mul(self, o: Self) -> Self {
             Self(unsafe { _mm512_mul_ps(self.0, o.0) })
+        }
+        #[inline(always)]
+        fn abs(self) -> Self {
+            Self(unsafe { _mm512_abs_ps(self.0) })
         }
         #[inline(always)]
         fn le(self, o: Self) -> Self::Mask {

@@ -2,7 +2,7 @@
 
 use crate::lanes::{Lanes, SAMPLES};
 use crate::samples::Veil;
-use crate::shape::Shape;
+use crate::shape::{Rims, Shape};
 use pbgi_math::Vec3;
 
 /// How a piece covers and shines in a [`LobeRaster`].
@@ -38,6 +38,8 @@ pub struct LobeRaster {
     /// Directions that are covered, and those not in use.
     covered: Vec<u16>,
     used: Vec<u16>,
+    /// Directions in rims.
+    rims: Vec<Rims>,
     /// Solid angle each direction stands for.
     solid_angles: Vec<[f32; SAMPLES]>,
     /// Inverse distance of what covers each direction.
@@ -73,6 +75,8 @@ impl LobeRaster {
         self.used.extend_from_slice(used);
         self.covered.clear();
         self.covered.extend(used.iter().map(|used| !used));
+        self.rims.clear();
+        self.rims.resize(groups, Rims::default());
         self.depths.clear();
         self.depths.resize(groups, [0.0; SAMPLES]);
         self.transmittance.clear();
@@ -138,7 +142,7 @@ impl LobeRaster {
     /// meets none does not shine yet: see [`Self::shine`].
     #[inline(always)]
     pub fn draw<L: Lanes, S: Shape>(&mut self, shape: &S, ink: &LobeInk) -> bool {
-        let inverse = shape.inverse();
+        let (inverse, side) = (shape.inverse(), shape.side());
         let nearer = L::splat(1.0 + ink.tolerance);
         let share = L::splat(ink.veil.share_of_rest());
         let is_whole = ink.is_whole();
@@ -159,7 +163,7 @@ impl LobeRaster {
                     .mul(L::splat(inverse.x))
                     .add(d[1].mul(L::splat(inverse.y)))
                     .add(d[2].mul(L::splat(inverse.z)));
-                let met = shape.meets(d, w) & self.used[group];
+                let met = shape.meets(d, w).close(side, &mut self.rims[group]) & self.used[group];
                 if met == 0 {
                     continue;
                 }

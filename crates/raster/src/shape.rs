@@ -10,11 +10,59 @@ use pbgi_math::{CubeFace, STENCIL_EDGE, Stencil, Vec3};
 pub trait Shape: Copy {
     /// The plane: its unit normal over its signed distance from the receiver.
     fn inverse(&self) -> Vec3;
+    /// Which of its sides it turns to the receiver: 0 or 1, as of [`Rims`]; without rims either.
+    fn side(&self) -> usize {
+        0
+    }
     /// The same shape in the coordinates (depth, u, v) of a cube face.
     #[must_use]
     fn turned(&self, face: CubeFace) -> Self;
     /// Which of sixteen directions, with their `w`, meet the shape.
-    fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> u16;
+    fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> Met;
+}
+
+/// Which of sixteen directions meet a shape.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Met {
+    /// Those inside of its outline.
+    pub inside: u16,
+    /// Those that pass its outline no farther than its rim, in which neighbors lie whose outlines are rounded.
+    pub rim: u16,
+}
+
+/// Directions in the rims of what was drawn so far, by the side that it turns to the receiver: front and back.
+pub(crate) type Rims = [u16; 2];
+
+impl Met {
+    /// Without a rim.
+    #[inline(always)]
+    fn inside(inside: u16) -> Self {
+        Self { inside, rim: 0 }
+    }
+
+    /// With all that is within its rim, of the directions whose `w` are given. What of the rim lies on the ground is inside.
+    #[inline(always)]
+    fn within<L: Lanes>([inside, within]: [u16; 2], direction: [L; 3], w: L, ground: Vec3) -> Self {
+        let rim = within & !inside;
+        if rim == 0 {
+            return Self { inside, rim };
+        }
+        let grounded = rim & L::bits(along(direction, ground).le(w));
+        Self { inside: inside | grounded, rim: rim & !grounded }
+    }
+
+    /// What the shape covers: the inside of its outline, and of its rim what another's rim has, too. Between neighbors on a surface there is no gap,
+    /// and over the end of a surface, where no neighbor is, nothing reaches. The faces of a solid at its outline, of which one is seen from
+    /// behind, are no neighbors.
+    #[inline(always)]
+    pub(crate) fn close(self, side: usize, rims: &mut Rims) -> u16 {
+        if self.rim == 0 {
+            return self.inside;
+        }
+        let closed = self.rim & rims[side];
+        rims[side] |= self.rim;
+        self.inside | closed
+    }
 }
 
 /// A vector in the coordinates (depth, u, v) of a face.
@@ -86,7 +134,7 @@ impl Shape for Section {
 
     /// The point `D/w` is inside where `low·w ≤ D ≤ high·w` along every axis. No negative `w` satisfies both.
     #[inline(always)]
-    fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> u16 {
+    fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> Met {
         let [x, y, z] = direction;
         if self.stencil != Stencil::FULL {
             let (a, b, at) = match self.axis {
@@ -100,11 +148,11 @@ impl Shape for Section {
                 along.mul(far).sub(L::splat(self.low[at[i]])).mul(L::splat(scale))
             };
             let in_front = L::bits(L::splat(f32::MIN_POSITIVE).le(w));
-            return cell(a, 0).in_cells(cell(b, 1), self.stencil.0) & in_front;
+            return Met::inside(cell(a, 0).in_cells(cell(b, 1), self.stencil.0) & in_front);
         }
         let (low, high) = (self.low, self.high);
         let xy = L::and(slab(x, w, low.x, high.x), slab(y, w, low.y, high.y));
-        L::bits(L::and(xy, slab(z, w, low.z, high.z)))
+        Met::inside(L::bits(L::and(xy, slab(z, w, low.z, high.z))))
     }
 }
 
@@ -134,7 +182,7 @@ impl Shape for Disk {
 
     /// The point `D/w` is on the disk where `|D − c w|² ≤ r² w²`, and far enough where `|D|² ≥ d² w²`.
     #[inline(always)]
-    fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> u16 {
+    fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> Met {
         let [x, y, z] = direction;
         let cx = x.sub(w.mul(L::splat(self.center.x)));
         let cy = y.sub(w.mul(L::splat(self.center.y)));
@@ -142,7 +190,8 @@ impl Shape for Disk {
         let w2 = w.mul(w);
         let on_disk = length2(cx, cy, cz).le(w2.mul(L::splat(self.radius * self.radius)));
         let in_front = L::splat(0.0).le(w);
-        L::bits(L::and(L::and(on_disk, is_far(direction, w, self.distance_min)), in_front))
+        let is_there = L::and(is_far(direction, w, self.distance_min), in_front);
+        Met::inside(L::bits(L::and(on_disk, is_there)))
     }
 }
 
@@ -157,8 +206,13 @@ pub struct Tile {
     pub edges: [Vec3; 2],
     /// Half the lengths of its edges, above 0.
     pub half: [f32; 2],
-    /// Points of it nearer than this are not there.
-    pub distance_min: f32,
+    /// The same of its rim.
+    pub reach: [f32; 2],
+    /// Normal of the receiver's own surface, the ground, which is not drawn, over the height up to which a rim over it lies on it: the ground is the
+    /// neighbor of what stands on it.
+    pub ground: Vec3,
+    /// See [`Shape::side`].
+    pub side: u8,
 }
 
 impl Shape for Tile {
@@ -173,23 +227,27 @@ impl Shape for Tile {
             inverse: turn(self.inverse, face),
             center: turn(self.center, face),
             edges: [turn(self.edges[0], face), turn(self.edges[1], face)],
+            ground: turn(self.ground, face),
             ..*self
         }
     }
 
-    /// With `t` along an edge and `h` its half length, the point `D/w` is on the tile where
-    /// `(t·c − h) w ≤ t·D ≤ (t·c + h) w` for both edges, which no negative `w` satisfies, and far enough where
-    /// `|D|² ≥ d² w²`.
     #[inline(always)]
-    fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> u16 {
-        let ([a, b], [half_a, half_b]) = (self.edges, self.half);
-        let (at_a, at_b) = (a.dot(self.center), b.dot(self.center));
-        let (along_a, along_b) = (along(direction, a), along(direction, b));
-        let on_tile = L::and(
-            slab(along_a, w, at_a - half_a, at_a + half_a),
-            slab(along_b, w, at_b - half_b, at_b + half_b),
-        );
-        L::bits(L::and(on_tile, is_far(direction, w, self.distance_min)))
+    fn side(&self) -> usize {
+        usize::from(self.side)
+    }
+
+    /// With `t` along an edge and `h` its half length, the point `D/w` is on the tile where `|t·D − t·c w| ≤ h w` for both edges, which no
+    /// negative `w` satisfies.
+    #[inline(always)]
+    fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> Met {
+        let off =
+            |edge: Vec3| along(direction, edge).sub(w.mul(L::splat(edge.dot(self.center)))).abs();
+        let (a, b) = (off(self.edges[0]), off(self.edges[1]));
+        let within = |half: [f32; 2]| {
+            L::bits(L::and(a.le(w.mul(L::splat(half[0]))), b.le(w.mul(L::splat(half[1])))))
+        };
+        Met::within([within(self.half), within(self.reach)], direction, w, self.ground)
     }
 }
 
@@ -200,18 +258,25 @@ pub struct Triangle {
     pub inverse: Vec3,
     /// Normals, toward its inside, of the planes through its edges and the receiver.
     pub sides: [Vec3; 3],
-    /// Points of it nearer than this are not there.
-    pub distance_min: f32,
+    /// How far its rim lies outside of each of them: by so much times `w`, as a product with the side.
+    pub reach: f32,
+    /// See [`Tile::ground`].
+    pub ground: Vec3,
+    /// See [`Shape::side`].
+    pub side: u8,
 }
 
 impl Triangle {
-    /// The triangle with these corners, in either order.
+    /// The triangle with these corners, in either order, and a rim that is larger by the share `rim`.
     #[must_use]
     #[inline(always)]
-    pub fn new(inverse: Vec3, [a, b, c]: [Vec3; 3], distance_min: f32) -> Self {
+    pub fn new(inverse: Vec3, [a, b, c]: [Vec3; 3], rim: f32, ground: Vec3, side: u8) -> Self {
         let sides = [a.cross(b), b.cross(c), c.cross(a)];
-        let sign = 1f32.copysign(sides[0].dot(c));
-        Self { inverse, sides: sides.map(|side| side * sign), distance_min }
+        // Three times the product of each side with the middle.
+        let volume = sides[0].dot(c);
+        let reach = volume.abs() * (rim * (1.0 / 3.0));
+        let sign = 1f32.copysign(volume);
+        Self { inverse, sides: sides.map(|side| side * sign), reach, ground, side }
     }
 }
 
@@ -227,18 +292,25 @@ impl Shape for Triangle {
         Self {
             inverse: turn(self.inverse, face),
             sides: [turn(a, face), turn(b, face), turn(c, face)],
+            ground: turn(self.ground, face),
             ..*self
         }
     }
 
-    /// The ray along `D` passes inside of all three planes, and where it is hit, it is far enough: `|D|² ≥ d² w²`.
     #[inline(always)]
-    fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> u16 {
+    fn side(&self) -> usize {
+        usize::from(self.side)
+    }
+
+    /// The ray along `D` passes inside of all three planes, before the receiver.
+    #[inline(always)]
+    fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> Met {
         let zero = L::splat(0.0);
-        let [a, b, c] = self.sides;
-        let within = L::and(zero.le(along(direction, a)), zero.le(along(direction, b)));
-        let in_front = L::and(zero.le(along(direction, c)), zero.le(w));
-        L::bits(L::and(L::and(within, in_front), is_far(direction, w, self.distance_min)))
+        let [a, b, c] = self.sides.map(|side| along(direction, side));
+        let inside = L::and(L::and(zero.le(a), zero.le(b)), L::and(zero.le(c), zero.le(w)));
+        let beyond = w.mul(L::splat(-self.reach));
+        let within = L::and(L::and(beyond.le(a), beyond.le(b)), L::and(beyond.le(c), zero.le(w)));
+        Met::within([L::bits(inside), L::bits(within)], direction, w, self.ground)
     }
 }
 
@@ -265,7 +337,7 @@ mod tests {
                 L::load(&along)
             };
             let direction = [lane(0), lane(1), lane(2)];
-            self.section.meets(direction, along(direction, self.section.inverse))
+            self.section.meets(direction, along(direction, self.section.inverse)).inside
         }
     }
 

@@ -2,7 +2,7 @@
 
 use crate::lanes::{Lanes, SAMPLES};
 use crate::samples::Veil;
-use crate::shape::Shape;
+use crate::shape::{Rims, Shape};
 use pbgi_math::{Frame, Vec3};
 
 /// Directions of a [`WindowRaster`]: `n × n` texels, gnomonic around `frame.normal`.
@@ -67,6 +67,7 @@ impl Window {
 #[derive(Clone, Debug, Default)]
 pub struct WindowRaster {
     covered: Vec<u16>,
+    rims: Vec<Rims>,
     is_closed: bool,
 }
 
@@ -76,6 +77,8 @@ impl WindowRaster {
     pub fn clear(&mut self, window: &Window) {
         self.covered.clear();
         self.covered.extend(window.used.iter().map(|used| !used));
+        self.rims.clear();
+        self.rims.resize(self.covered.len(), Rims::default());
         self.is_closed = false;
     }
 
@@ -96,7 +99,7 @@ impl WindowRaster {
     /// Draws a shape: texels whose middle meets it are covered, as far as the veil does.
     #[inline(always)]
     pub fn draw<L: Lanes, S: Shape>(&mut self, window: &Window, shape: &S, veil: &Veil) {
-        let inverse = shape.inverse();
+        let (inverse, side) = (shape.inverse(), shape.side());
         let mut open = 0;
         for (group, (covered, d)) in self.covered.iter_mut().zip(&window.directions).enumerate() {
             if *covered == u16::MAX {
@@ -107,7 +110,7 @@ impl WindowRaster {
                 .mul(L::splat(inverse.x))
                 .add(d[1].mul(L::splat(inverse.y)))
                 .add(d[2].mul(L::splat(inverse.z)));
-            let met = shape.meets(d, w);
+            let met = shape.meets(d, w).close(side, &mut self.rims[group]);
             *covered |= if veil.is_opaque() { met } else { met & veil.samples(group) };
             open |= !*covered;
         }

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::lanes::Plain;
+use crate::shape::Met;
 use crate::{Disk, Section, SimdLevel, Tile, Triangle, WideKernel, run_wide};
 use pbgi_math::Aabb;
 use std::f32::consts::PI;
@@ -166,20 +167,22 @@ fn tiles_of_a_closed_box_leave_no_sample_open() {
     assert!(!is_box_open(&raster, Vec3::splat(3.0), Vec3::splat(3.5)));
 }
 
-/// Draws an opaque tile of radiance 1, its edges scaled by `reserve`.
-fn draw_tile(raster: &mut CubeRaster, center: Vec3, halves: [Vec3; 2], reserve: f32) {
+/// Draws an opaque tile of radiance 1, its edges scaled by `scale`, with a rim of this share of them.
+fn draw_tile(raster: &mut CubeRaster, center: Vec3, halves: [Vec3; 2], [scale, rim]: [f32; 2]) {
     let edges = halves.map(Vec3::normalize);
     let normal = edges[0].cross(edges[1]);
     let tile = Tile {
         inverse: normal / normal.dot(center),
         center,
         edges,
-        half: halves.map(|half| half.length() * reserve),
-        distance_min: 0.0,
+        half: halves.map(|half| half.length() * scale),
+        reach: halves.map(|half| half.length() * scale * (1.0 + rim)),
+        ground: Vec3::splat(f32::MAX),
+        side: 0,
     };
     let (d2, area) = (center.length_squared(), 4.0 * halves[0].length() * halves[1].length());
     let ink = ink(area * normal.dot(center).abs() / (d2 * d2.sqrt()), 1.0);
-    let reach = edges[0].abs() * tile.half[0] + edges[1].abs() * tile.half[1];
+    let reach = edges[0].abs() * tile.reach[0] + edges[1].abs() * tile.reach[1];
     let footprint = raster.footprint(center - reach, center + reach);
     raster.draw::<Plain, _>(&[(tile, ink)], &footprint, center);
 }
@@ -192,13 +195,16 @@ fn rectangles_that_tile_a_plane_leave_no_sample_open() {
     let normal = Vec3::new(0.2, -1.0, 0.1).normalize();
     let first = Vec3::new(0.8, 0.0, -0.5).cross(normal).normalize();
     let halves = [first * 0.3, normal.cross(first) * 0.12];
-    for (reserve, complete) in [(1.001, true), (0.9, false)] {
+    // Larger by nothing but arithmetic; smaller, with rims that reach over the gaps, or that do not.
+    for (outline, complete) in
+        [([1.001, 0.0], true), ([0.98, 0.05], true), ([0.98, 0.03], false), ([0.9, 0.0], false)]
+    {
         raster.clear::<Plain>(Vec3::Y);
         for i in -30..=30 {
             for j in -80..=80 {
                 let (i, j) = (i as f32 * 2.0, j as f32 * 2.0);
                 let center = normal * -1.0 + halves[0] * i + halves[1] * j;
-                draw_tile(&mut raster, center, halves, reserve);
+                draw_tile(&mut raster, center, halves, outline);
             }
         }
         let mut open = 0.0;
@@ -207,8 +213,37 @@ fn rectangles_that_tile_a_plane_leave_no_sample_open() {
                 open += raster.openness(i);
             }
         }
-        assert_eq!(open == 0.0, complete, "{reserve}: {open}");
+        assert_eq!(open == 0.0, complete, "{outline:?}: {open}");
     }
+}
+
+/// Rims close gaps between neighbors and reach over no end of their surface; the faces of a solid at its outline, of which one is seen from behind, are
+/// no neighbors.
+#[test]
+fn rims_end_where_the_surface_does() {
+    let table = CubeRasterTable::new(32);
+    let halves = [Vec3::X * 0.1, Vec3::Z * 0.1];
+    let draw = |outline: [f32; 2]| {
+        let mut raster = CubeRaster::new(&table, false);
+        raster.clear::<Plain>(Vec3::Y);
+        for i in -3..=3 {
+            for j in -3..=3 {
+                let center = Vec3::new(0.2 * i as f32 + 0.013, 0.5, 0.2 * j as f32 - 0.007);
+                draw_tile(&mut raster, center, halves, outline);
+            }
+        }
+        raster
+    };
+    // The corners of neighbors' rims meet over the end, a twentieth of it.
+    let (exact, rimmed) = (draw([1.0001, 0.0]), draw([1.0001, 0.05]));
+    let count = |r: &CubeRaster| r.covered.iter().map(|c| c.count_ones()).sum::<u32>();
+    let (exact, over) = (count(&exact), count(&rimmed) - count(&exact));
+    assert!(over * 500 < exact, "{over} of {exact}");
+
+    // A wall's upper end, and its top, seen from below: over both is the same strip of sky.
+    let met = |side: usize, rims: &mut Rims| Met { inside: 1, rim: 2 }.close(side, rims);
+    let mut rims = Rims::default();
+    assert_eq!([met(0, &mut rims), met(1, &mut rims), met(0, &mut rims)], [1, 1, 3]);
 }
 
 #[test]
@@ -220,7 +255,7 @@ fn a_rectangle_has_the_analytic_form_factor_and_no_point_beyond_its_edges() {
         raster.clear::<Plain>(Vec3::Y);
         let (sin, cos) = turn.sin_cos();
         let halves = [Vec3::new(cos, 0.0, sin) * a, Vec3::new(-sin, 0.0, cos) * b];
-        draw_tile(&mut raster, Vec3::Y, halves, 1.0);
+        draw_tile(&mut raster, Vec3::Y, halves, [1.0, 0.0]);
         // E = 2 L (a/√(1+a²) atan(b/√(1+a²)) + b/√(1+b²) atan(a/√(1+b²))), four quarters.
         let (p, q) = ((1.0 + a * a).sqrt(), (1.0 + b * b).sqrt());
         let exact = 2.0 * (a / p * (b / p).atan() + b / q * (a / q).atan());
@@ -346,10 +381,10 @@ fn two_triangles_are_their_rectangle() {
         let inverse = n / n.dot(center);
         let [a, b, c, d] = [center - u - v, center + u - v, center + u + v, center - u + v];
         let footprint = CubeRaster::new(&table, false).footprint(Vec3::NEG_ONE, Vec3::ONE);
-        let tile = Tile { inverse, center, edges, half, distance_min: 0.0 };
+        let tile = Tile { inverse, center, edges, half, reach: half, ground: Vec3::Y, side: 0 };
         let whole = covered(&|r| r.draw::<Plain, _>(&[(tile, ink(0.1, 0.0))], &footprint, center));
         let triangle = |corners: [Vec3; 3]| {
-            let triangle = Triangle::new(inverse, corners, 0.0);
+            let triangle = Triangle::new(inverse, corners, 0.0, Vec3::Y, 0);
             covered(&|r| r.draw::<Plain, _>(&[(triangle, ink(0.1, 0.0))], &footprint, center))
         };
         let (first, second) = (triangle([a, b, c]), triangle([d, c, a]));
@@ -384,16 +419,19 @@ impl WideKernel for Everything {
             let ink = Ink { veil, ..ink(0.03, i as f32) };
             let aabb = Aabb::from_disk(center, n, radius);
             let footprint = raster.footprint(aabb.min, aabb.max);
+            let ground = Vec3::new(0.2, 3.0, 0.4);
             if i % 7 == 3 {
                 let corners = [center, center + n.any_orthonormal_vector() * 0.3, aabb.max];
                 let normal = (corners[1] - center).cross(corners[2] - center);
                 let inverse = normal / normal.dot(center);
-                let triangle = Triangle::new(inverse, corners, 0.5);
+                let triangle = Triangle::new(inverse, corners, 0.2, ground, (i % 2) as u8);
                 raster.draw::<L, _>(&[(triangle, ink)], &footprint, center);
             } else if i % 3 == 2 {
                 let tangent = n.any_orthonormal_vector();
                 let (edges, half) = ([tangent, n.cross(tangent)], [0.2, 0.1]);
-                let tile = Tile { inverse, center, edges, half, distance_min: 0.5 };
+                let reach = [0.25, 0.12];
+                let tile =
+                    Tile { inverse, center, edges, half, reach, ground, side: (i % 2) as u8 };
                 raster.draw::<L, _>(&[(tile, ink)], &footprint, center);
             } else if i % 3 == 1 {
                 let disk = Disk { inverse, center, radius, distance_min: 0.5 };
