@@ -45,6 +45,8 @@ pub(crate) struct KnownGroup {
     pub split: Vec3,
     /// How far covering disks reach out of the boxes of the children at most.
     pub cover_margin: f32,
+    /// How far rounding may have moved a corner of those boxes.
+    pub half_step: f32,
     /// Boxes of the children relative to the file's origin, by index, and their brightness.
     pub boxes: Boxes,
     pub brightness: [f32; CHILDREN_MAX],
@@ -66,6 +68,10 @@ pub(crate) struct GroupSeen {
 
 /// How far disks reach out of the box of their node at most, as a share of the box's largest edge.
 const OVERHANG: f32 = 0.125;
+
+/// Angle, in radians, over the horizon up to which what rounding has moved there does not count: 10⁻⁴ of the light of a sky. With it a walk in the
+/// apartment visits 3 % more nodes, without it 16 %, at the same error.
+const RISE: f32 = 0.02;
 
 /// How far what is in the box of an open node reaches out of it: disks by an eighth of the box's edge, needles farther but transparent; the group's margin
 /// may come from one giant among its surfels.
@@ -92,6 +98,14 @@ impl KnownGroup {
     pub fn bounds(&self, index: usize) -> Aabb {
         let [min, max] = self.boxes.get(index);
         Aabb { min, max }
+    }
+
+    /// Whether what is in a child's box, which lies below the horizon, may rise over it by more than [`RISE`], as rounding has moved the box. A receiver in
+    /// a corner of a group has what it sees overhead in boxes that end beside it.
+    #[cold]
+    fn may_rise(&self, seen: &NodeSeen) -> bool {
+        let distance = seen.distance2.sqrt() - seen.radius2.sqrt();
+        seen.top + self.half_step > 0.0 && self.half_step > RISE * distance
     }
 
     /// Tests all children against horizon and threshold.
@@ -135,7 +149,7 @@ impl KnownGroup {
                 is_plane: self.planes >> index & 1 != 0,
                 brightness: self.brightness[index],
             };
-            if seen.top <= 0.0 || !threshold.is_wanted(&seen) {
+            if (seen.top <= 0.0 && !self.may_rise(&seen)) || !threshold.is_wanted(&seen) {
                 found.below |= bit;
             } else if seen.radius2 > threshold.sin2_max(&seen) * seen.distance2 {
                 found.large |= bit;

@@ -178,6 +178,7 @@ impl<'a> NodeReader<'a> {
             planes: 0,
             split: fields.split,
             cover_margin: fields.cover_margin,
+            half_step: step.length() * 0.5,
             boxes: Boxes::default(),
             brightness: [0.0; CHILDREN_MAX],
             links: [UNKNOWN; CHILDREN_MAX],

@@ -82,6 +82,12 @@ fn slab<L: Lanes>(d: L, w: L, low: f32, high: f32) -> L::Mask {
     L::and(w.mul(L::splat(low)).le(d), d.le(w.mul(L::splat(high))))
 }
 
+/// Lanes of `a` and `b` up to these lengths times `w`.
+#[inline(always)]
+fn nearer<L: Lanes>([a, b]: [L; 2], w: L, [half_a, half_b]: [f32; 2]) -> u16 {
+    L::bits(L::and(a.le(w.mul(L::splat(half_a))), b.le(w.mul(L::splat(half_b)))))
+}
+
 /// Products with a vector.
 #[inline(always)]
 fn along<L: Lanes>([x, y, z]: [L; 3], t: Vec3) -> L {
@@ -241,13 +247,12 @@ impl Shape for Tile {
     /// negative `w` satisfies.
     #[inline(always)]
     fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> Met {
-        let off =
-            |edge: Vec3| along(direction, edge).sub(w.mul(L::splat(edge.dot(self.center)))).abs();
-        let (a, b) = (off(self.edges[0]), off(self.edges[1]));
-        let within = |half: [f32; 2]| {
-            L::bits(L::and(a.le(w.mul(L::splat(half[0]))), b.le(w.mul(L::splat(half[1])))))
-        };
-        Met::within([within(self.half), within(self.reach)], direction, w, self.ground)
+        let ([a, b], center) = (self.edges, self.center);
+        let off_a = along(direction, a).sub(w.mul(L::splat(a.dot(center)))).abs();
+        let off_b = along(direction, b).sub(w.mul(L::splat(b.dot(center)))).abs();
+        let inside = nearer([off_a, off_b], w, self.half);
+        let within = nearer([off_a, off_b], w, self.reach);
+        Met::within([inside, within], direction, w, self.ground)
     }
 }
 
@@ -306,7 +311,8 @@ impl Shape for Triangle {
     #[inline(always)]
     fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> Met {
         let zero = L::splat(0.0);
-        let [a, b, c] = self.sides.map(|side| along(direction, side));
+        let [a, b, c] = self.sides;
+        let (a, b, c) = (along(direction, a), along(direction, b), along(direction, c));
         let inside = L::and(L::and(zero.le(a), zero.le(b)), L::and(zero.le(c), zero.le(w)));
         let beyond = w.mul(L::splat(-self.reach));
         let within = L::and(L::and(beyond.le(a), beyond.le(b)), L::and(beyond.le(c), zero.le(w)));
