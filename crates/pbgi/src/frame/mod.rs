@@ -161,7 +161,7 @@ impl<'a> FrameJob<'a> {
         let mut session =
             Session::open(request.octree, settings, environment, split, extra_readers, cancel)?;
         session.warnings.extend(request.scene.and_then(|scene| unlike_size(scene, &header)));
-        let origin = if request.scene.is_some() { DVec3::ZERO } else { header.origin };
+        let origin = request.scene.map_or(header.origin, |scene| scene.origin);
         let context = CameraContext {
             scene: request.scene,
             bounds: request.scene.map_or(header.bounds, Scene::bounds),
