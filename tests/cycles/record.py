@@ -56,6 +56,7 @@ def clear(bounces):
     layer.use_pass_position = layer.use_pass_normal = True
     layer.use_pass_ambient_occlusion = True
     layer.use_pass_diffuse_direct = layer.use_pass_diffuse_indirect = True
+    layer.use_pass_diffuse_color = True
     return scene
 
 
@@ -180,13 +181,15 @@ def record(name, build, extension):
     position, normal = take("Position", "XYZ"), take("Normal", "XYZ")
     ao = take("AO", "RGB")[..., 0]
     direct, indirect = take("DiffDir", "RGB"), take("DiffInd", "RGB")
+    color = take("DiffCol", "RGB")
     rows = 0
     with open(FOLDER / f"{name}.csv", "w", newline="") as file:
         write = csv.writer(file, lineterminator="\n").writerow
         write("x y z nx ny nz ao direct_r direct_g direct_b indirect_r indirect_g indirect_b".split())
         for y, x in numpy.ndindex(HEIGHT, WIDTH):
             # Where it sees an edge all the same, normals are means of several.
-            if numpy.linalg.norm(normal[y, x]) < 0.999:
+            # Light over no color is not known.
+            if numpy.linalg.norm(normal[y, x]) < 0.999 or color[y, x].min() < 0.01:
                 continue
             turned = lambda v: (v[0], v[2], -v[1])
             values = [*turned(position[y, x]), *turned(normal[y, x]), ao[y, x], *direct[y, x], *indirect[y, x]]

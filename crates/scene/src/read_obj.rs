@@ -2,7 +2,7 @@
 
 mod mtl;
 
-use crate::origin::choose_origin;
+use crate::origin::Places;
 use crate::polygon::Triangulator;
 use crate::resources::Resources;
 use crate::texture::display_to_linear;
@@ -187,10 +187,8 @@ struct Part {
 /// What has been read so far.
 #[derive(Default)]
 struct Obj {
-    /// Near the first position that is finite.
-    origin: Option<DVec3>,
-    /// Those that are not finite may not be used.
-    positions: Vec<Vec3>,
+    /// Positions; those that are not finite may not be used.
+    places: Places,
     /// Empty, or one per position, as written.
     colors: Vec<[f32; 3]>,
     /// Colors of vertices in comments of ZBrush, in their order: codes of a display from 0 to 255.
@@ -226,7 +224,7 @@ impl Obj {
         let corners: usize = self.parts.iter().map(|(_, part)| part.corners.len()).sum();
         let triangles: usize = self.parts.iter().map(|(_, part)| part.triangles.len()).sum();
         let colors = self.colors.len() + self.comment_colors.len();
-        let places = self.positions.len() + colors + self.normals.len();
+        let places = self.places.len() + colors + self.normals.len();
         let held = (places * VERTEX_BYTES
             + self.uvs.len() * size_of::<Vec2>()
             + corners * CORNER_BYTES
@@ -279,20 +277,16 @@ impl Obj {
 
     fn read_position(&mut self, rest: &str) -> Result<(), String> {
         let position = DVec3::from_array(read_any_numbers(rest)?);
-        if self.origin.is_none() && position.is_finite() {
-            self.origin = Some(choose_origin(position));
-        }
-        let position = (position - self.origin.unwrap_or_default()).as_vec3();
         let words = rest.split_ascii_whitespace().take_while(|word| !word.starts_with('#'));
         if words.count() >= 6 {
             // Colors may begin anywhere in the file; what came before is white.
-            self.colors.resize(self.positions.len(), [1.0; 3]);
+            self.colors.resize(self.places.len(), [1.0; 3]);
             let [.., r, g, b] = read_any_floats::<6>(rest)?;
             self.colors.push([r, g, b].map(|c| if c.is_finite() { c.max(0.0) } else { 0.0 }));
         } else if !self.colors.is_empty() {
             self.colors.push([1.0; 3]);
         }
-        self.positions.push(position);
+        self.places.push(position);
         Ok(())
     }
 
@@ -308,12 +302,13 @@ impl Obj {
     }
 
     fn read_face(&mut self, rest: &str) -> Result<(), String> {
-        let counts = [self.positions.len(), self.uvs.len(), self.normals.len()];
+        let positions = self.places.settle();
+        let counts = [positions.len(), self.uvs.len(), self.normals.len()];
         self.corners.clear();
         self.outline.clear();
         for word in rest.split_ascii_whitespace().take_while(|word| !word.starts_with('#')) {
             let (corner, missing) = read_corner(word, counts)?;
-            let position = self.positions[corner.0 as usize];
+            let position = positions[corner.0 as usize];
             if !position.is_finite() {
                 let number = corner.0 + 1;
                 return Err(format!("position {number} of corner `{word}` is not finite"));
@@ -352,9 +347,9 @@ impl Obj {
     }
 
     fn into_scene(mut self) -> Scene {
-        let origin = self.origin.unwrap_or_default();
+        let (origin, positions) = std::mem::take(&mut self.places).finish();
         let mut scene = Scene { origin, warnings: self.warnings(), ..Scene::default() };
-        self.decode_colors();
+        self.decode_colors(positions.len());
         scene.textures = std::mem::take(&mut self.library.textures);
         // Materials by name, in order of use; that of colored parts without one is white.
         let mut materials: HashMap<&Option<String>, (u32, Placement)> = HashMap::new();
@@ -371,7 +366,7 @@ impl Obj {
                 untextured += part.triangles.len();
             }
             let mut mesh =
-                part.to_mesh([&self.positions, &self.normals], &self.uvs, &self.colors, material);
+                part.to_mesh([&positions, &self.normals], &self.uvs, &self.colors, material);
             mesh.uvs.iter_mut().for_each(|uv| *uv = placement.place(*uv));
             scene
                 .instances
@@ -452,12 +447,12 @@ impl Obj {
     }
 
     /// Makes colors linear: they are those of a display, from 0 to 1, or to 255 where one is above 1.
-    fn decode_colors(&mut self) {
+    fn decode_colors(&mut self, position_count: usize) {
         let in_comments = std::mem::take(&mut self.comment_colors);
         if self.colors.is_empty() && !in_comments.is_empty() {
             let color = |codes: &[u8; 3]| codes.map(|c| f32::from(c) / 255.0);
             self.colors = in_comments.iter().map(color).collect();
-            self.colors.resize(self.positions.len(), [1.0; 3]);
+            self.colors.resize(position_count, [1.0; 3]);
         }
         let largest = self.colors.iter().flatten().fold(0f32, |max, &c| max.max(c));
         let scale = if largest > 1.0 { 1.0 / 255.0 } else { 1.0 };

@@ -1,7 +1,7 @@
 //! PLY meshes: ASCII and binary, any property order and types, polygons and strips cut into triangles.
 
 use crate::error::from_cloud_error;
-use crate::origin::choose_origin;
+use crate::origin::Places;
 use crate::polygon::Triangulator;
 use crate::resources::Resources;
 use crate::texture::{display_to_linear, srgb_to_linear};
@@ -82,8 +82,8 @@ fn take_memory(
 #[derive(Default)]
 struct PlyMesh {
     mesh: Mesh,
-    /// Near the first position that is finite.
-    origin: Option<DVec3>,
+    /// World position of the origin of the mesh's positions.
+    origin: DVec3,
     /// Largest color of type float.
     float_color_max: f32,
     /// Whether a vertex is at no place, and may not be used.
@@ -118,7 +118,7 @@ impl PlyMesh {
             false => [1.0; 3],
         };
         Ok(Scene {
-            origin: origin.unwrap_or_default(),
+            origin,
             meshes: vec![mesh],
             instances: vec![Instance { mesh: 0, transform: Affine3A::IDENTITY }],
             materials: vec![Material { name: "ply".into(), base_color, ..Material::default() }],
@@ -194,17 +194,13 @@ impl PlyMesh {
         let mesh = &mut self.mesh;
         let mut row = PlyRow::default();
         let opaque = columns.alpha.map_or(1.0, |i| largest_alpha(element, i));
-        let mut clear_count = 0u64;
+        let (mut places, mut clear_count) = (Places::default(), 0u64);
         while reader.read_row(&mut row).map_err(|e| from_cloud_error(path, e))? {
             let vector = |c: [usize; 3]| Vec3::from_array(c.map(|i| row.scalar(i) as f32));
             let position = DVec3::from_array(columns.position.map(|i| row.scalar(i)));
-            if self.origin.is_none() && position.is_finite() {
-                self.origin = Some(choose_origin(position));
-            }
-            let position = (position - self.origin.unwrap_or_default()).as_vec3();
+            self.has_bad_positions |= !position.as_vec3().is_finite();
+            places.push(position);
             clear_count += u64::from(columns.alpha.is_some_and(|i| row.scalar(i) < 0.5 * opaque));
-            self.has_bad_positions |= !position.is_finite();
-            mesh.positions.push(position);
             mesh.normals.extend(columns.normal.map(vector));
             let linear = |i: usize| linear_color(row.scalar(i), columns.color_type);
             let color = columns.color.map(|c| c.map(linear));
@@ -212,6 +208,7 @@ impl PlyMesh {
             self.float_color_max = self.float_color_max.max(largest);
             mesh.colors.extend(color);
         }
+        (self.origin, mesh.positions) = places.finish();
         if clear_count > 0 {
             self.warnings.push(format!(
                 "{clear_count} vertices have an alpha below one half; all surfaces are opaque"
