@@ -116,9 +116,9 @@ fn check_sky(name: &str, environment: EnvironmentSpec) {
     let light = LightRequest { environment: Some(environment), ..LightRequest::default() };
     let shadings = shade(&format!("{name}.obj"), &points, light);
     check("ambient occlusion", openness(&points, &shadings), 0.005, 0.01);
-    let direct = channels(&points, &shadings, |p| p.direct, |s| s.environment_irradiance.into());
+    let direct = channels(&points, &shadings, |p| p.direct, |s| s.environment_irradiance);
     check("diffuse direct", direct, 0.005, 0.01);
-    let indirect = channels(&points, &shadings, |p| p.indirect, |s| s.surface_irradiance.into());
+    let indirect = channels(&points, &shadings, |p| p.indirect, |s| s.surface_irradiance);
     check("diffuse indirect", indirect, 0.03, 0.1);
 }
 
@@ -162,9 +162,9 @@ fn a_lamp_in_a_box_shines_as_in_cycles() {
     let (emitted, bounced) = (shade(0), shade(1));
     // Nodes hide a little less than their surfels, and little is open.
     check("ambient occlusion", openness(&points, &bounced), 0.02, 0.03);
-    let direct = channels(&points, &emitted, |p| p.direct, |s| s.surface_irradiance.into());
+    let direct = channels(&points, &emitted, |p| p.direct, |s| s.surface_irradiance);
     check("diffuse direct", direct, 0.005, 0.01);
     let sum = |p: &Point| [0, 1, 2].map(|k| p.direct[k] + p.indirect[k]);
-    let both = channels(&points, &bounced, sum, |s| s.surface_irradiance.into());
+    let both = channels(&points, &bounced, sum, |s| s.surface_irradiance);
     check("diffuse direct and indirect", both, 0.01, 0.02);
 }

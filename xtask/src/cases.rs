@@ -227,8 +227,8 @@ fn judge(check: &Check, said: &Said, folder: &Path) -> Option<String> {
             (!holds).then(|| format!("found {found:?}, expected {expected:?}"))
         }
         Check::EachSays { begins, any } => {
-            let lines = said.split(begins).skip(1);
-            let bad = lines.filter(|line| !any.iter().any(|text| line.contains(text))).next();
+            let mut lines = said.split(begins).skip(1);
+            let bad = lines.find(|line| !any.iter().any(|text| line.contains(text)));
             match (said.matches(begins).count(), bad) {
                 (0, _) => Some(format!("never says `{begins}`")),
                 (_, Some(line)) => Some(format!("`{begins}{}` says none of {any:?}", end_of(line))),

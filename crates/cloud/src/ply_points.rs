@@ -333,6 +333,19 @@ mod tests {
         assert_eq!((second.radius, second.area), (0.0, 0.0));
     }
 
+    /// As programs write a normal that they do not know.
+    #[test]
+    fn normals_that_are_no_numbers_are_not_known() {
+        let header = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
+            property float nx\nproperty float ny\nproperty float nz\nend_header\n";
+        for normal in ["nan nan nan", "-nan(ind) 0 1", "1.#QNAN 1.#QNAN 1.#QNAN", "0 inf 0"] {
+            let surfels =
+                points(format!("{header}0 0 0 {normal}\n1 0 0 0 1 0\n").as_bytes()).unwrap();
+            assert!(surfels[0].is_isotropic(), "{normal}");
+            assert_eq!(surfels[1].normal(), Vec3::Y);
+        }
+    }
+
     #[test]
     fn what_changes_light_and_is_not_read_is_named() {
         let warnings = |columns: &[&str], row: &str| {

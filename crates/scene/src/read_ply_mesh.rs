@@ -253,7 +253,7 @@ impl PlyMesh {
         Ok(())
     }
 
-    /// Strips of triangles, every other one of which runs backward; −1 starts the next.
+    /// Strips of triangles, every other one of which runs backward; −1, as a type without signs has it, too, starts the next.
     fn read_strips(
         &mut self,
         path: &Path,
@@ -263,7 +263,9 @@ impl PlyMesh {
         let column = find_indices(path, element)?;
         let mut row = PlyRow::default();
         while reader.read_row(&mut row).map_err(|e| from_cloud_error(path, e))? {
-            for strip in row.list(column).split(|&index| index == -1.0) {
+            for strip in
+                row.list(column).split(|&index| index == -1.0 || index == f64::from(u32::MAX))
+            {
                 for (k, corners) in strip.windows(3).enumerate() {
                     let [a, b, c] = [0, 1, 2].map(|i| index_of(&corners[i]));
                     // Strips turn by repeating a vertex.
@@ -463,6 +465,8 @@ mod tests {
             .replace("5 4 0 1 2 3\n9 3 2 1 0\n", "10 0 1 3 2 -1 0 1 1 2 3\n");
         let scene = read(text.as_bytes()).unwrap();
         assert_eq!(scene.meshes[0].triangles, [[0, 1, 3], [3, 1, 2], [1, 2, 3]]);
+        let wide = text.replace("2 -1 0", "2 4294967295 0").replace("int int", "int uint");
+        assert_eq!(read(wide.as_bytes()).unwrap().meshes[0].triangles.len(), 3);
         for (from, to) in [("0 1 3 2 -1", "0 1 3 2 -2"), ("0 1 3 2 -1", "0 1 3 4 -1")] {
             assert!(read(text.replace(from, to).as_bytes()).is_err());
         }
