@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Records light as Cycles computes it: small scenes, and values at a few hundred points, which tests/pipeline/cycles.rs compares with.
 
-    pip install bpy==4.2.0        (Python 3.11)
+    pip install bpy==4.2.0 OpenEXR        (Python 3.11)
     python tests/cycles/record.py [FOLDER]
 
 For each scene Blender's exporter writes the mesh (+Y up), and NAME.csv gets a row per pixel that sees a surface: position and normal in the
