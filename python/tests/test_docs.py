@@ -29,7 +29,8 @@ def test_the_example_of_the_documentation_draws_its_plot(tmp_path):
     open_part = light["ambient_occlusion"]
     assert open_part.shape == (200, 200) and 0.02 < open_part.mean() < 0.5
     assert open_part[:20].mean() > 1.5 * open_part[-20:].mean()
-    # Two blocks of 0.165 x 0.165 stand on the floor of 0.54 x 0.54; all the rest is lit.
-    assert (light["irradiance"] > 0).mean() == pytest.approx(1 - 2 * (0.165 / 0.54) ** 2, abs=0.05)
+    # Two blocks of 0.165 x 0.165 stand on the floor of 0.54 x 0.54; all the rest is lit. Below them, near their edges, interpolation
+    # gives less than a thousandth of the light.
+    assert (light["irradiance"] > 1e-3 * light["irradiance"].max()).mean() == pytest.approx(1 - 2 * (0.165 / 0.54) ** 2, abs=0.05)
     plot = matplotlib.image.imread(tmp_path / "floor.png")
     assert plot.shape[:2] == (480, 640) and len(set(plot[..., 0].ravel().tolist())) > 50

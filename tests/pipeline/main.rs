@@ -2,6 +2,7 @@
 #![allow(missing_docs, reason = "tests are named by what they claim")]
 
 mod closed_forms;
+mod cycles;
 mod faults;
 mod format_document;
 mod invariances;

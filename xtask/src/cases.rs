@@ -6,6 +6,7 @@ use crate::workspace::Workspace;
 use expected::{Check, checks_of};
 use std::fs;
 use std::io::Read;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::thread;
@@ -18,8 +19,8 @@ const SECONDS_MAX: u64 = 120;
 /// Kept of what a command says.
 const TEXT_MAX: u64 = 1 << 20;
 
-/// Runs the cases that are there and whose names contain one of `filters`, all without any, by the tools of the debug build, and
-/// prints which fall short.
+/// Runs the cases that are there and whose names contain one of `filters`, all without any, by the release build, and prints which fall
+/// short. Some need Python with xxhash.
 pub fn run(workspace: &Workspace, filters: &[&str]) -> Result<(), String> {
     let root = workspace.root().join(CASES);
     let entries = fs::read_dir(&root)
@@ -61,25 +62,26 @@ fn name_of(folder: &Path) -> String {
     folder.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Builds the tools; returns their folder.
+/// Builds the program; returns a folder where its commands are, each under a name of its own.
 fn build_tools(workspace: &Workspace) -> Result<PathBuf, String> {
     let mut command = workspace.cargo();
-    command.args([
-        "build",
-        "-p",
-        "pbgi-bake",
-        "-p",
-        "pbgi-shade",
-        "-p",
-        "pbgi-info",
-        "-p",
-        "pbgi-demo",
-    ]);
+    command.args(["build", "--release", "-p", "pbgi-cli"]);
     let status = command.status().map_err(|e| e.to_string())?;
     if !status.success() {
-        return Err("the tools do not build".into());
+        return Err("the program does not build".into());
     }
-    Ok(workspace.target().join("debug"))
+    let program = workspace.target().join("release").join("pbgi");
+    let tools = workspace.target().join("cases-tools");
+    let write = |tool: &str| {
+        let path = tools.join(format!("pbgi-{tool}"));
+        let script = format!("#!/bin/sh\nexec '{}' {tool} \"$@\"\n", program.display());
+        fs::create_dir_all(&tools)?;
+        fs::write(&path, script)?;
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o755))
+    };
+    let written = ["bake", "shade", "info", "demo"].into_iter().try_for_each(write);
+    written.map_err(|e| format!("{}: {e}", tools.display()))?;
+    Ok(tools)
 }
 
 /// What is wrong with a case, if something is.
@@ -90,24 +92,30 @@ fn run_case(workspace: &Workspace, folder: &Path, tools: &Path) -> Result<Option
     let _ = fs::remove_dir_all(&copy);
     copy_folder(folder, &copy).map_err(|e| format!("{}: {e}", copy.display()))?;
     let path = std::env::var("PATH").unwrap_or_default();
+    let path = format!("{}:{path}", tools.display());
     let child = Command::new("bash")
         .args(["-c", &script])
         .current_dir(&copy)
-        .env("PATH", format!("{}:{path}", tools.display()))
+        .env("PATH", &path)
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()
         .map_err(|e| format!("bash: {e}"))?;
-    let Some((said, code)) = wait(child) else {
+    let Some(said) = wait(child) else {
         return Ok(Some(format!("does not end within {SECONDS_MAX} s")));
     };
-    let said = said.split_whitespace().collect::<Vec<_>>().join(" ");
-    if said.contains("panicked at") || code.is_none_or(|code| code == 101) {
-        return Ok(Some(format!("panics or is killed: {}", end_of(&said))));
+    if said.all.contains("panicked at") || said.code.is_none_or(|code| code == 101) {
+        return Ok(Some(format!("panics or is killed: {}", end_of(&said.all))));
     }
-    let failed = checks_of(&name_of(folder)).iter().find_map(|check| judge(check, &said, &copy));
-    Ok(failed.map(|why| format!("{why}; it said: {}", end_of(&said))))
+    if said.errors.contains("ModuleNotFoundError") {
+        return Ok(Some(format!("lacks a Python module: {}", end_of(&said.errors))));
+    }
+    let failed = checks_of(&name_of(folder)).iter().find_map(|check| match check {
+        Check::Prints { script, expected } => judge_script(script, expected, &copy, &path),
+        check => judge(check, &said, &copy),
+    });
+    Ok(failed.map(|why| format!("{why}; it said: {}", end_of(&said.all))))
 }
 
 /// The first block of shell commands.
@@ -130,8 +138,16 @@ fn copy_folder(from: &Path, to: &Path) -> std::io::Result<()> {
     Ok(())
 }
 
-/// All that a command says, and its exit code; `None` if it takes too long.
-fn wait(mut child: Child) -> Option<(String, Option<i32>)> {
+/// What a command says, with one blank between words.
+struct Said {
+    /// On standard output, then on standard error.
+    all: String,
+    errors: String,
+    code: Option<i32>,
+}
+
+/// All that a command says; `None` if it takes too long.
+fn wait(mut child: Child) -> Option<Said> {
     let (out, err) = (child.stdout.take(), child.stderr.take());
     let collect = |pipe: Option<Box<dyn Read + Send>>| {
         thread::spawn(move || {
@@ -149,8 +165,11 @@ fn wait(mut child: Child) -> Option<(String, Option<i32>)> {
     loop {
         match child.try_wait() {
             Ok(Some(status)) => {
-                let said = [out.join(), err.join()].map(Result::unwrap_or_default).join("\n");
-                return Some((said, status.code()));
+                let [out, errors] = [out.join(), err.join()].map(|said| {
+                    let said = said.unwrap_or_default();
+                    said.split_whitespace().collect::<Vec<_>>().join(" ")
+                });
+                return Some(Said { all: format!("{out} {errors}"), errors, code: status.code() });
             }
             Ok(None) if start.elapsed() < Duration::from_secs(SECONDS_MAX) => {
                 thread::sleep(Duration::from_millis(20));
@@ -164,9 +183,58 @@ fn wait(mut child: Child) -> Option<(String, Option<i32>)> {
     }
 }
 
+/// Runs a script behind a case; says what is wrong if it does not print what is expected last.
+fn judge_script(script: &str, expected: &str, folder: &Path, path: &str) -> Option<String> {
+    let run =
+        Command::new("bash").args(["-c", script]).current_dir(folder).env("PATH", path).output();
+    let run = match run {
+        Ok(run) => run,
+        Err(error) => return Some(format!("bash: {error}")),
+    };
+    let found = String::from_utf8_lossy(&run.stdout);
+    let last = found.lines().last().unwrap_or_default().trim();
+    let errors = String::from_utf8_lossy(&run.stderr);
+    (last != expected)
+        .then(|| format!("prints `{last}`, expected `{expected}`: {}", end_of(&errors)))
+}
+
 /// What of a check does not hold.
-fn judge(check: &Check, said: &str, folder: &Path) -> Option<String> {
+fn judge(check: &Check, said: &Said, folder: &Path) -> Option<String> {
+    let (errors, code, said) = (&said.errors, said.code, &said.all);
     match *check {
+        Check::Prints { .. } => None,
+        Check::Code(expected) => {
+            (code != Some(expected)).then(|| format!("ends with {code:?}, expected {expected}"))
+        }
+        Check::AtMost { unit, bounds } => {
+            let mut found = numbers_before(errors, unit);
+            if found.is_empty() {
+                found = numbers_before(said, unit);
+            }
+            let holds =
+                found.len() == bounds.len() && found.iter().zip(bounds).all(|(f, b)| f <= b);
+            (!holds).then(|| format!("{found:?} {unit}, expected at most {bounds:?}"))
+        }
+        Check::Pairs { expected, relative, absolute } => {
+            let pairs = said.split(' ').filter_map(|word| word.split_once(','));
+            let found: Vec<[f64; 2]> =
+                pairs.filter_map(|(a, b)| Some([a.parse().ok()?, b.parse().ok()?])).collect();
+            let near = |f: &[f64; 2], e: &[f64; 2]| {
+                (f[0] - e[0]).abs() <= relative * e[0] && (f[1] - e[1]).abs() <= absolute
+            };
+            let holds = found.len() == expected.len()
+                && found.iter().zip(expected).all(|(f, e)| near(f, e));
+            (!holds).then(|| format!("found {found:?}, expected {expected:?}"))
+        }
+        Check::EachSays { begins, any } => {
+            let mut lines = said.split(begins).skip(1);
+            let bad = lines.find(|line| !any.iter().any(|text| line.contains(text)));
+            match (said.matches(begins).count(), bad) {
+                (0, _) => Some(format!("never says `{begins}`")),
+                (_, Some(line)) => Some(format!("`{begins}{}` says none of {any:?}", end_of(line))),
+                (_, None) => None,
+            }
+        }
         Check::Says(text) => {
             (!said.contains(text)).then(|| format!("expected that it says `{text}`"))
         }
@@ -207,6 +275,13 @@ fn judge(check: &Check, said: &str, folder: &Path) -> Option<String> {
 fn numbers_behind(said: &str, word: &str) -> Vec<f64> {
     let behind = said.split(word).skip(1);
     behind.filter_map(|rest| rest.split(' ').next()?.replace(',', "").parse().ok()).collect()
+}
+
+/// Numbers before a word, with or without a comma behind it.
+fn numbers_before(said: &str, word: &str) -> Vec<f64> {
+    let words: Vec<&str> = said.split(' ').collect();
+    let pairs = words.windows(2).filter(|pair| pair[1].trim_end_matches(',') == word);
+    pairs.filter_map(|pair| pair[0].parse().ok()).collect()
 }
 
 /// Values of a column of a `.csv` file, or of a binary `.ply` file of floats, doubles and bytes.

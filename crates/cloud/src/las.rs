@@ -42,6 +42,7 @@ pub struct LasPoints {
     /// Unknown before the first read.
     color: Option<Color>,
     points: PointData,
+    warnings: Vec<String>,
 }
 
 /// How albedo is found.
@@ -73,9 +74,31 @@ impl LasPoints {
             left_out: LeftOut::default(),
             color: None,
             points: las::PointDataBuilder::new().for_header(&header).build(),
+            warnings: Vec::new(),
         };
+        points.warn_of_unread(&header);
         points.check_origin()?;
         Ok(points)
+    }
+
+    /// Says what the file holds and is not read.
+    fn warn_of_unread(&mut self, header: &Header) {
+        let path = self.path.display();
+        if self.decoder.uncounted > 0 {
+            self.warnings.push(format!(
+                "{path}: its header counts {} points, and there is room for {} behind them; if these are points, its header is damaged: \
+                 they are left out",
+                self.point_count, self.decoder.uncounted
+            ));
+        }
+        let normals: Vec<String> =
+            extra_names(header).into_iter().filter(|name| is_normal(name)).collect();
+        if !normals.is_empty() {
+            self.warnings.push(format!(
+                "{path}: normals in extra bytes are not read ({}); normals are estimated (those of PLY files are read)",
+                normals.join(", ")
+            ));
+        }
     }
 
     /// Takes another origin where the header's box is not that of the first points, and stands at the first again.
@@ -195,6 +218,24 @@ fn is_withheld(record: &[u8], is_extended: bool) -> bool {
     record.get(15).is_some_and(|flags| flags & mask != 0)
 }
 
+/// Names of the extra bytes that a header describes, in records of 192 bytes (LAS 1.4, section 2.6).
+fn extra_names(header: &Header) -> Vec<String> {
+    let described =
+        header.vlrs().iter().filter(|vlr| vlr.user_id == "LASF_Spec" && vlr.record_id == 4);
+    let records = described.flat_map(|vlr| vlr.data.chunks_exact(192));
+    let name = |record: &[u8]| {
+        let bytes = record[4..36].split(|byte| *byte == 0).next().unwrap_or_default();
+        String::from_utf8_lossy(bytes).trim().to_owned()
+    };
+    records.map(name).collect()
+}
+
+/// Whether extra bytes of this name are a part of a normal, as CloudCompare, PDAL and others call it.
+fn is_normal(name: &str) -> bool {
+    let plain: String = name.to_lowercase().chars().filter(char::is_ascii_alphanumeric).collect();
+    ["nx", "ny", "nz", "normalx", "normaly", "normalz"].contains(&plain.as_str())
+}
+
 fn report(
     defect: Defect,
     policy: InvalidPolicy,
@@ -216,6 +257,10 @@ impl SurfelSource for LasPoints {
 
     fn left_out(&self) -> LeftOut {
         self.left_out
+    }
+
+    fn warnings(&self) -> Vec<String> {
+        self.warnings.clone()
     }
 
     fn read_chunk(&mut self, out: &mut Vec<Surfel>) -> Result<bool, CloudError> {
@@ -354,6 +399,55 @@ mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn what_is_not_read_is_named() {
+        let bytes = file_of(&points(1000, 1), 2, (1, 2), false);
+        let warnings = |bytes: &[u8]| {
+            let file = tempfile::NamedTempFile::new().unwrap();
+            std::fs::write(file.path(), bytes).unwrap();
+            LasPoints::open(file.path(), &CloudOptions::default()).unwrap().warnings()
+        };
+        assert_eq!(warnings(&bytes), [""; 0]);
+        let mut short = bytes;
+        short[107..111].copy_from_slice(&77u32.to_le_bytes());
+        let [warning] = &warnings(&short)[..] else { panic!() };
+        assert!(
+            warning.contains("counts 77 points") && warning.contains("room for 923"),
+            "{warning}"
+        );
+        // Extended records behind the points are no points.
+        let mut long = file_of(&points(1000, 1), 7, (1, 4), false);
+        let end = long.len() as u64;
+        long[235..243].copy_from_slice(&end.to_le_bytes());
+        long.extend([0; 600]);
+        assert_eq!(warnings(&long), [""; 0]);
+        let mut builder = Builder::from((1, 4));
+        builder.point_format = Format::new(2).unwrap();
+        builder.point_format.extra_bytes = 12;
+        let record = |name: &str| {
+            let mut record = vec![0; 192];
+            record[2] = 9;
+            record[4..4 + name.len()].copy_from_slice(name.as_bytes());
+            record
+        };
+        builder.vlrs.push(las::Vlr {
+            user_id: "LASF_Spec".into(),
+            record_id: 4,
+            data: ["NormalX", "normal y", "Amplitude"].map(record).concat(),
+            ..Default::default()
+        });
+        let cursor = std::io::Cursor::new(Vec::new());
+        let mut writer = Writer::new(cursor, builder.into_header().unwrap()).unwrap();
+        let color = Some(las::Color::default());
+        writer
+            .write_point(Point { color, extra_bytes: vec![0; 12], ..Default::default() })
+            .unwrap();
+        writer.close().unwrap();
+        let bytes = writer.into_inner().unwrap().into_inner();
+        let [warning] = &warnings(&bytes)[..] else { panic!() };
+        assert!(warning.contains("(NormalX, normal y)"), "{warning}");
     }
 
     #[test]

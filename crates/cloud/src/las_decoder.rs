@@ -25,6 +25,8 @@ const POINTS_OFFSET_MAX: u64 = 64 << 20;
 pub(crate) struct LasDecoder {
     points: Points,
     path: PathBuf,
+    /// Points that there is room for behind those that the header counts.
+    pub uncounted: u64,
 }
 
 enum Points {
@@ -37,11 +39,12 @@ impl LasDecoder {
     pub fn open(path: &Path) -> Result<(Self, Header), CloudError> {
         let mut reader = BufReader::with_capacity(1 << 18, GuardedFile::open(path)?);
         let header = guard(path, || "header".into(), || Header::new(&mut reader))?;
+        let uncounted = reader.get_ref().uncounted;
         let points = match header.point_format().is_compressed {
             false => Points::Plain(reader),
             true => open_compressed(reader, &header, path)?,
         };
-        Ok((Self { points, path: path.to_owned() }, header))
+        Ok((Self { points, path: path.to_owned(), uncounted }, header))
     }
 
     /// Fills `bytes`, a whole number of points. `place` is for messages.
@@ -189,6 +192,7 @@ pub(crate) fn guard<T, E: std::fmt::Display>(
 
 /// A LAS file whose header was checked and claims no extended records.
 struct GuardedFile {
+    uncounted: u64,
     file: File,
     header: Vec<u8>,
     position: u64,
@@ -203,10 +207,11 @@ impl GuardedFile {
         let mut header = Vec::with_capacity(HEADER_BYTES_MAX);
         file.by_ref().take(HEADER_BYTES_MAX as u64).read_to_end(&mut header).map_err(io)?;
         check_header(&header, length).map_err(|message| CloudError::malformed(path, message))?;
+        let uncounted = count_uncounted(&header, length);
         hide_extended_records(&mut header);
         prefer_long_count(&mut header);
         file.seek(SeekFrom::Start(0)).map_err(io)?;
-        Ok(Self { file, header, position: 0 })
+        Ok(Self { uncounted, file, header, position: 0 })
     }
 }
 
@@ -283,6 +288,24 @@ fn check_header(header: &[u8], length: u64) -> Result<(), String> {
         ));
     }
     Ok(())
+}
+
+/// Uncompressed points that there is room for between those that a header counts and what it places behind them.
+fn count_uncounted(header: &[u8], length: u64) -> u64 {
+    let u16_at = |at: usize| u64::from(u16::from_le_bytes(array_at(header, at)));
+    let u32_at = |at: usize| u64::from(u32::from_le_bytes(array_at(header, at)));
+    let (offset, record_bytes) = (u32_at(96), u16_at(105));
+    if header[104] & 0xc0 != 0 || record_bytes == 0 {
+        return 0;
+    }
+    let has_place = |at: usize, minor: u8| {
+        (header[25] >= minor).then(|| u64::from_le_bytes(array_at(header, at)))
+    };
+    // Waveforms since version 1.3, extended records since 1.4.
+    let places = [has_place(227, 3), has_place(235, 4)].into_iter().flatten();
+    let end = places.filter(|place| *place > offset).fold(length, u64::min);
+    let count = long_count(header).unwrap_or(u32_at(107));
+    (end.saturating_sub(offset) / record_bytes).saturating_sub(count)
 }
 
 /// Refuses a LAZ chunk table with more chunks than the file has room for. `reader` stands at the

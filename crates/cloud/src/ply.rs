@@ -177,10 +177,16 @@ pub struct PlyElement {
 }
 
 impl PlyElement {
-    /// Index of the property called `name`.
+    /// Index of the property called `name`, else of the only one so called in other case.
     #[must_use]
     pub fn property(&self, name: &str) -> Option<usize> {
-        self.properties.iter().position(|p| p.name == name)
+        let exact = self.properties.iter().position(|p| p.name == name);
+        exact.or_else(|| {
+            let is_it = |p: &PlyProperty| p.name.eq_ignore_ascii_case(name);
+            let first = self.properties.iter().position(is_it)?;
+            let last = self.properties.iter().rposition(is_it)?;
+            (first == last).then_some(first)
+        })
     }
 
     /// Bytes of a binary row, `None` when a list makes rows differ.

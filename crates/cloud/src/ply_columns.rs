@@ -17,17 +17,18 @@ pub(crate) struct Column {
 impl Column {
     /// The scalar column `name`.
     pub fn find(element: &PlyElement, name: &str) -> Option<Self> {
-        let mut offset = 0;
-        for (index, property) in element.properties.iter().enumerate() {
-            match property.kind {
-                PlyKind::Scalar(ty) if property.name == name => {
-                    return Some(Self { index, offset, ty });
-                }
-                PlyKind::Scalar(ty) => offset += ty.size_bytes(),
-                PlyKind::List { .. } => {}
+        let index = element.property(name)?;
+        let size = |kind: PlyKind| match kind {
+            PlyKind::Scalar(ty) => ty.size_bytes(),
+            PlyKind::List { .. } => 0,
+        };
+        match element.properties[index].kind {
+            PlyKind::Scalar(ty) => {
+                let before = &element.properties[..index];
+                Some(Self { index, offset: before.iter().map(|p| size(p.kind)).sum(), ty })
             }
+            PlyKind::List { .. } => None,
         }
-        None
     }
 
     /// Three scalar columns: the first of `names` that is complete.
@@ -50,6 +51,77 @@ const COLOR_NAMES: [[&str; 3]; 4] = [
     ["diffuse_red", "diffuse_green", "diffuse_blue"],
     ["r", "g", "b"],
 ];
+
+/// Names of columns that would change light and are not read, in lower case and without the `scalar_` of CloudCompare; what of the others
+/// makes up for them; and what is used instead.
+const UNREAD: [(&[&str], &[&str], &str); 4] = [
+    (
+        &["intensity", "reflectance", "gray", "grey", "luminance"],
+        &["red", "diffuse_red", "r", "albedo_r", "f_dc_0"],
+        "albedo is gray; name them red, green and blue to have them as albedo",
+    ),
+    (
+        &["rgb", "rgba"],
+        &["red", "diffuse_red", "r", "albedo_r"],
+        "colors packed into one number are gray; write them as red, green and blue",
+    ),
+    (
+        &[
+            "emission",
+            "emissive",
+            "emission_r",
+            "emissive_r",
+            "emission_red",
+            "emissive_red",
+            "radiosity_r",
+        ],
+        &["radiance_r"],
+        "nothing shines; what surfels send out is called radiance_r, radiance_g, radiance_b",
+    ),
+    (
+        &["pscale", "psize", "point_size", "pointsize", "size", "width", "scale"],
+        &["radius", "area"],
+        "sizes are estimated; half the width of a point is called radius",
+    ),
+];
+
+impl PlyElement {
+    /// Columns of normals.
+    #[must_use]
+    pub fn normals(&self) -> Option<[usize; 3]> {
+        Column::find_triple(self, &NORMAL_NAMES).map(|columns| columns.map(|c| c.index))
+    }
+
+    /// Columns of colors.
+    #[must_use]
+    pub fn colors(&self) -> Option<[usize; 3]> {
+        Column::find_triple(self, &COLOR_NAMES).map(|columns| columns.map(|c| c.index))
+    }
+
+    /// What columns would change light or sizes and are not read, one sentence each; `has_sizes` where points have none.
+    #[must_use]
+    pub fn describe_unread(&self, has_sizes: bool) -> Vec<String> {
+        let plain = |name: &str| {
+            let name = name.to_ascii_lowercase();
+            name.strip_prefix("scalar_").map(str::to_owned).unwrap_or(name)
+        };
+        let kinds = &UNREAD[..UNREAD.len() - usize::from(has_sizes)];
+        let of_kind = |(names, others, effect): &(&[&str], &[&str], &str)| {
+            let found = self.properties.iter().map(|property| property.name.as_str());
+            let found: Vec<&str> =
+                found.filter(|name| names.contains(&plain(name).as_str())).collect();
+            let is_made_up = others.iter().any(|other| self.property(other).is_some());
+            (!found.is_empty() && !is_made_up).then(|| {
+                format!(
+                    "columns of element {} that are not read: {}; {effect}",
+                    self.name,
+                    found.join(", ")
+                )
+            })
+        };
+        kinds.iter().filter_map(of_kind).collect()
+    }
+}
 
 /// What becomes of a value.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -94,8 +166,13 @@ impl PlyColumns {
     ///
     /// If there are no positions.
     pub fn of(element: &PlyElement) -> Result<Self, String> {
-        let position = Column::find_triple(element, &[["x", "y", "z"]])
-            .ok_or("vertices have no columns `x`, `y`, `z`")?;
+        let position =
+            Column::find_triple(element, &[["x", "y", "z"]]).ok_or_else(|| {
+                match element.property("packed_position") {
+                    Some(_) => "compressed Gaussian splats are not read; write them uncompressed",
+                    None => "vertices have no columns `x`, `y`, `z`",
+                }
+            })?;
         let mut columns = Vec::new();
         let mut add =
             |field: usize, found: Option<[Column; 3]>, reading: fn(PlyType) -> Reading| {
@@ -118,6 +195,17 @@ impl PlyColumns {
         }
         let are_codes = triple(&COLOR_NAMES[..1]).is_none();
         Ok(Self { columns, are_codes, srgb8: Box::new(srgb8_table()) })
+    }
+
+    /// The column of alpha, and its value where a point is opaque.
+    pub fn alpha(element: &PlyElement) -> Option<(usize, f64)> {
+        let column = Column::find(element, "alpha")?;
+        let opaque = match column.ty {
+            PlyType::F32 | PlyType::F64 => 1.0,
+            PlyType::U16 => 65_535.0,
+            _ => 255.0,
+        };
+        Some((column.index, opaque))
     }
 
     /// Whether colors are floats that may be codes all the same.

@@ -22,6 +22,8 @@ const FLOAT_COLOR_MAX: f64 = 1.5;
 struct Probe {
     origin: DVec3,
     color_max: f64,
+    /// Rows whose alpha is below one half.
+    clear_count: u64,
 }
 
 /// What of a cloud of Gaussian splats is left out.
@@ -56,6 +58,8 @@ pub struct PlyPoints {
     reader: PlyReader<BufReader<ForwardFile>>,
     path: PathBuf,
     columns: PlyColumns,
+    /// The column of alpha, and its value where a point is opaque.
+    alpha: Option<(usize, f64)>,
     batch: RecordBatch,
     options: CloudOptions,
     origin: DVec3,
@@ -80,12 +84,19 @@ impl PlyPoints {
         let mut points = Self::open_start(path, options)?;
         let is_far = points.columns.has_double_positions();
         let has_float_colors = points.columns.has_float_colors();
-        if is_far || has_float_colors {
+        if is_far || has_float_colors || points.alpha.is_some() {
             let probe = points.probe()?;
             points = Self::open_start(path, options)?;
             if is_far {
                 points.origin = probe.origin;
                 points.columns.set_origin(points.origin);
+            }
+            if probe.clear_count > 0 {
+                points.warnings.push(format!(
+                    "{}: {} of the first {PROBE_ROWS} points have an alpha below one half; all points are opaque",
+                    path.display(),
+                    probe.clear_count
+                ));
             }
             if has_float_colors && probe.color_max > FLOAT_COLOR_MAX {
                 points.columns.take_colors_as_codes();
@@ -113,11 +124,15 @@ impl PlyPoints {
             _ => element.stride_bytes().map(|s| (s, format == PlyFormat::BinaryBigEndian)),
         };
         let count = element.count;
-        let warnings = splat_warning(path, element).into_iter().collect();
+        let mut warnings: Vec<String> = splat_warning(path, element).into_iter().collect();
+        let unread = element.describe_unread(false);
+        warnings.extend(unread.iter().map(|text| format!("{}: {text}", path.display())));
+        let alpha = PlyColumns::alpha(element);
         Ok(Self {
             reader,
             path: path.to_owned(),
             columns,
+            alpha,
             batch: RecordBatch::new(options),
             options: options.clone(),
             origin: DVec3::ZERO,
@@ -134,7 +149,7 @@ impl PlyPoints {
     /// What the first rows tell.
     fn probe(&mut self) -> Result<Probe, CloudError> {
         let (mut row, mut sample) = (PlyRow::default(), PlaceSample::default());
-        let mut probe = Probe { origin: DVec3::ZERO, color_max: 0.0 };
+        let mut probe = Probe { origin: DVec3::ZERO, color_max: 0.0, clear_count: 0 };
         let mut first = None;
         for _ in 0..PROBE_ROWS {
             if !self.reader.read_row(&mut row)? {
@@ -143,6 +158,8 @@ impl PlyPoints {
             let place = self.columns.position(&row);
             first = first.or(Some(place).filter(|place| place.is_finite()));
             sample.add(place);
+            let is_clear = self.alpha.is_some_and(|(i, opaque)| row.scalar(i) < 0.5 * opaque);
+            probe.clear_count += u64::from(is_clear);
             probe.color_max = self.columns.colors(&row).fold(probe.color_max, f64::max);
         }
         if let (Some(first), Some(mass)) = (first, sample.mass()) {
@@ -314,6 +331,53 @@ mod tests {
         assert_eq!(first.albedo_rgb()[1..], [1.0, 0.0]);
         assert!(!first.is_isotropic() && second.is_isotropic());
         assert_eq!((second.radius, second.area), (0.0, 0.0));
+    }
+
+    /// As programs write a normal that they do not know.
+    #[test]
+    fn normals_that_are_no_numbers_are_not_known() {
+        let header = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
+            property float nx\nproperty float ny\nproperty float nz\nend_header\n";
+        for normal in ["nan nan nan", "-nan(ind) 0 1", "1.#QNAN 1.#QNAN 1.#QNAN", "0 inf 0"] {
+            let surfels =
+                points(format!("{header}0 0 0 {normal}\n1 0 0 0 1 0\n").as_bytes()).unwrap();
+            assert!(surfels[0].is_isotropic(), "{normal}");
+            assert_eq!(surfels[1].normal(), Vec3::Y);
+        }
+    }
+
+    #[test]
+    fn what_changes_light_and_is_not_read_is_named() {
+        let warnings = |columns: &[&str], row: &str| {
+            let columns: String = columns.iter().map(|c| format!("property {c}\n")).collect();
+            let text = format!(
+                "ply\nformat ascii 1.0\nelement vertex 2\nproperty float X\nproperty float Y\nproperty float Z\n{columns}end_header\n\
+                 0 0 0 {row}\n1 0 0 {row}\n"
+            );
+            let file = file(text.as_bytes());
+            PlyPoints::open(file.path(), &CloudOptions::default()).unwrap().warnings()
+        };
+        let color = ["uchar red", "uchar green", "uchar blue"];
+        for (columns, row, expected) in [
+            (&["float scalar_Intensity"][..], "5", "scalar_Intensity; albedo is gray"),
+            (&["float rgb"], "1e-38", "rgb; colors packed"),
+            (&["float emission_r"], "5", "nothing shines"),
+            (&["float pscale"], "5", "sizes are estimated"),
+            (&["uchar alpha"], "127", "2 of the first 4096 points have an alpha"),
+        ] {
+            let warnings = warnings(columns, row);
+            assert!(warnings.len() == 1 && warnings[0].contains(expected), "{warnings:?}");
+        }
+        let colored =
+            [&color[..], &["uchar alpha", "float intensity", "float confidence"]].concat();
+        assert!(warnings(&colored, "1 2 3 255 4 5").is_empty());
+        let packed = "ply\nformat ascii 1.0\nelement vertex 1\nproperty uint packed_position\nend_header\n0\n";
+        assert!(
+            points(packed.as_bytes())
+                .unwrap_err()
+                .to_string()
+                .contains("compressed Gaussian splats")
+        );
     }
 
     #[test]

@@ -3,7 +3,9 @@
 use crate::forward_file::ForwardFile;
 use crate::ply_columns::{Column, NORMAL_NAMES};
 use crate::ply_points::open_ply;
-use crate::{CloudError, PlyElement, PlyKind, PlyReader, PlyRow, PlyType, TypedColumn};
+use crate::{
+    CloudError, PlyElement, PlyKind, PlyProperty, PlyReader, PlyRow, PlyType, TypedColumn,
+};
 use pbgi_math::{DVec3, Vec3};
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
@@ -105,6 +107,8 @@ pub struct ReceiverReader {
     /// Places of the other columns in a row, and what they are.
     others: Vec<usize>,
     columns: Vec<TypedColumn>,
+    /// Columns of lists.
+    lists: Vec<String>,
     /// Elements of the file besides its vertices.
     elements: Vec<PlyElement>,
     origin: DVec3,
@@ -135,6 +139,8 @@ impl ReceiverReader {
         })?;
         let (others, columns) =
             other_columns(&element, &[position, normal].concat()).into_iter().unzip();
+        let is_list = |p: &&PlyProperty| matches!(p.kind, PlyKind::List { .. });
+        let lists = element.properties.iter().filter(is_list).map(|p| p.name.clone()).collect();
         let mut row = PlyRow::default();
         let has_row = reader.read_row(&mut row)?;
         let mut origin = DVec3::ZERO;
@@ -152,6 +158,7 @@ impl ReceiverReader {
             normal,
             others,
             columns,
+            lists,
             elements,
             origin,
             count,
@@ -184,6 +191,12 @@ impl ReceiverReader {
     #[must_use]
     pub fn columns(&self) -> &[TypedColumn] {
         &self.columns
+    }
+
+    /// Columns of lists, which no table has.
+    #[must_use]
+    pub fn list_columns(&self) -> &[String] {
+        &self.lists
     }
 
     /// The elements of the file besides its vertices that have rows, such as faces.
@@ -301,6 +314,7 @@ mod tests {
         assert_eq!(kinds, [PlyType::I32, PlyType::F64, PlyType::U8]);
         let elements = reader.other_elements();
         assert_eq!((elements.len(), elements[0].name.as_str()), (1, "face"));
+        assert_eq!(reader.list_columns(), ["near"]);
     }
 
     #[test]

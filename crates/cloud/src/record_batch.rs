@@ -199,7 +199,7 @@ impl RecordBatch {
         let triple = |field: usize| [0, 1, 2].map(|k| self.columns[field + k][i]);
         Record {
             position: Vec3::from_array(triple(field::POSITION)),
-            normal: Vec3::from_array(triple(field::NORMAL)),
+            normal: known_normal(Vec3::from_array(triple(field::NORMAL))),
             radius: self.columns[field::RADIUS][i],
             area: self.columns[field::AREA][i],
             radiance: triple(field::RADIANCE),
@@ -207,6 +207,11 @@ impl RecordBatch {
             flags: SurfelFlags::default(),
         }
     }
+}
+
+/// A normal as it is, or 0, an unknown one, for what is no number: programs write that where they know none.
+fn known_normal(normal: Vec3) -> Vec3 {
+    if normal.is_finite() { normal } else { Vec3::ZERO }
 }
 
 #[cfg(test)]

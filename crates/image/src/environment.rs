@@ -43,7 +43,7 @@ pub fn read_environment(path: &Path) -> Result<RgbImage, ImageError> {
 /// Reads an environment, an EXR or Radiance HDR file, told apart by its first bytes.
 ///
 /// EXR files give the channels `R`, `G`, `B`, else those of the layer that is the picture by its name (`Combined`, `beauty`, `rgba`, `Ci`),
-/// else of the only layer, else luminance `Y`. The picture is the display window: what is not stored of it is black. Colors are
+/// else of the only layer, else luminance `Y`, with its chroma if it is there. The picture is the display window: what is not stored of it is black. Colors are
 /// converted from the file's chromaticities to Rec. 709, which they are without. HDR files are divided by their exposures. An alpha
 /// channel is ignored. Samples a little below 0 become 0.
 ///
@@ -70,7 +70,11 @@ pub fn read_environment_noting_within(
         [0x76, 0x2f, 0x31, 0x01] => {
             // The picture as colors takes no more than the samples, which are gone by then.
             let (image, metadata) = read_exr_within(path, allowance, COLOR_BYTES)?;
-            let image = to_rgb(path, &image, &mut warnings)?;
+            if !metadata.parts_left_out.is_empty() {
+                let names = metadata.parts_left_out.join(", ");
+                warnings.push(format!("parts of another size or place are left out: {names}"));
+            }
+            let image = to_rgb(path, &image, metadata.is_multipart, &mut warnings)?;
             (uncrop(path, image, &metadata.window, allowance)?, metadata.chromaticities)
         }
         [b'#', b'?', ..] => {
@@ -130,7 +134,12 @@ fn color_of(channel: &str) -> Option<(&str, usize)> {
     Some((layer, which))
 }
 
-fn to_rgb(path: &Path, image: &Image, warnings: &mut Vec<String>) -> Result<RgbImage, ImageError> {
+fn to_rgb(
+    path: &Path,
+    image: &Image,
+    is_multipart: bool,
+    warnings: &mut Vec<String>,
+) -> Result<RgbImage, ImageError> {
     let mut layers: BTreeMap<&str, [Option<&[f32]>; 3]> = BTreeMap::new();
     for channel in &image.channels {
         if let Some((layer, which)) = color_of(&channel.name) {
@@ -164,21 +173,43 @@ fn to_rgb(path: &Path, image: &Image, warnings: &mut Vec<String>) -> Result<RgbI
     if !whole.is_empty() {
         let names: Vec<&str> = whole.iter().map(|(layer, _)| *layer).collect();
         let first = names[0];
-        let cure = format!(
-            "keep one: oiiotool in.exr --ch R={first}.R,G={first}.G,B={first}.B -o out.exr"
-        );
+        let cure = match is_multipart {
+            true => format!("keep one: oiiotool in.exr --subimage {first} -o out.exr"),
+            false => format!(
+                "keep one: oiiotool in.exr --ch R={first}.R,G={first}.G,B={first}.B -o out.exr"
+            ),
+        };
         let found = format!("an environment of the layers {}", names.join(", "));
         return Err(ImageError::unsupported(path, found, cure));
     }
-    if let Some(pixels) = image.rgb(["Y", "Y", "Y"]) {
+    let has = |name: &str| image.channels.iter().any(|channel| channel.name == name);
+    // Beside X and Z it is no luminance of a gray picture.
+    if !has("X")
+        && !has("Z")
+        && let Some(mut pixels) = image.rgb(["Y", "Y", "Y"])
+    {
+        if let Some(chroma) = image.rgb(["RY", "Y", "BY"]) {
+            pixels = chroma.into_iter().map(color_of_chroma).collect();
+        }
         return Ok(RgbImage { width, height, pixels });
     }
     let names: Vec<&str> = image.channels.iter().map(|c| c.name.as_str()).collect();
-    Err(ImageError::unsupported(
-        path,
-        format!("an environment with the channels {}", names.join(", ")),
-        "it needs R, G and B: oiiotool in.exr --chnames R,G,B -o out.exr",
-    ))
+    let [a, b, c] = match names[..] {
+        [a, b, c, ..] => [a, b, c],
+        [a, ..] => [a; 3],
+        [] => ["R", "G", "B"],
+    };
+    let found = format!("an environment with the channels {}", names.join(", "));
+    let cure = format!(
+        "it needs R, G and B, for instance: oiiotool in.exr --ch {a},{b},{c} --chnames R,G,B -o out.exr"
+    );
+    Err(ImageError::unsupported(path, found, cure))
+}
+
+/// The color of luminance and chroma, (R − Y)/Y and (B − Y)/Y, as OpenEXR has them, with the weights of Rec. 709.
+fn color_of_chroma([ry, y, by]: [f32; 3]) -> [f32; 3] {
+    let [red, blue] = [(ry + 1.0) * y, (by + 1.0) * y];
+    [red, (y - 0.2126 * red - 0.0722 * blue) / 0.7152, blue]
 }
 
 /// The picture: the display window, black where nothing is stored.
@@ -428,6 +459,28 @@ mod tests {
             .unwrap_err()
             .to_string();
         assert!(message.contains("--croptofull"), "{message}");
+    }
+
+    #[test]
+    fn luminance_has_its_chroma_and_is_no_part_of_another_space() {
+        let directory = tempdir().unwrap();
+        let path = directory.path().join("a.exr");
+        write_layers(&path, &[("Y", 0.5)], [8, 4], [1, 1]);
+        assert_eq!(read_environment(&path).unwrap().pixels[0], [0.5; 3]);
+        let [r, g, b] = [1.0f32, 0.5, 0.25];
+        let y = 0.2126 * r + 0.7152 * g + 0.0722 * b;
+        let chroma = [("BY", (b - y) / y), ("RY", (r - y) / y), ("Y", y)];
+        write_layers(&path, &chroma, [8, 4], [1, 1]);
+        let found = read_environment(&path).unwrap().pixels[0];
+        assert!(found.iter().zip([r, g, b]).all(|(f, e)| (f - e).abs() < 1e-6), "{found:?}");
+        write_layers(&path, &[("X", 0.5), ("Y", 0.5), ("Z", 0.5)], [8, 4], [1, 1]);
+        let message = read_environment(&path).unwrap_err().to_string();
+        assert!(
+            message.contains("channels X, Y, Z") && message.contains("--ch X,Y,Z"),
+            "{message}"
+        );
+        write_layers(&path, &[("Z", 0.5)], [8, 4], [1, 1]);
+        assert!(read_environment(&path).unwrap_err().to_string().contains("--ch Z,Z,Z"));
     }
 
     #[test]

@@ -102,6 +102,7 @@ fn metadata_of(first: &Header) -> Metadata {
             white: [c.white.0, c.white.1],
         }),
         parts_left_out: Vec::new(),
+        is_multipart: false,
     }
 }
 
@@ -144,6 +145,9 @@ fn from_exr(path: &Path) -> impl Fn(exr::error::Error) -> ImageError + '_ {
         exr::error::Error::NotSupported(what) if what.to_lowercase().contains("deep") => {
             ImageError::unsupported(path, "deep data", FLATTEN)
         }
+        exr::error::Error::NotSupported(what) if what.to_lowercase().contains("subsampl") => {
+            ImageError::unsupported(path, "subsampled channels (luminance and chroma)", SAMPLE)
+        }
         exr::error::Error::NotSupported(what) => {
             ImageError::unsupported(path, format!("this exr file ({what})"), CONVERT)
         }
@@ -155,6 +159,7 @@ fn from_exr(path: &Path) -> impl Fn(exr::error::Error) -> ImageError + '_ {
 }
 
 const FLATTEN: &str = "flatten it with: oiiotool in.exr --flatten --compression zip -o out.exr";
+const SAMPLE: &str = "write it with R, G and B where it comes from";
 const CONVERT: &str = "convert it with: oiiotool in.exr --compression zip -o out.exr";
 
 /// Bytes of all samples. Refuses what is not read here, and sizes that the file cannot hold, before they are allocated.
@@ -170,7 +175,7 @@ fn check_headers(path: &Path, headers: &[Header], file_bytes: u64) -> Result<u64
             header.channels.list.iter().find(|c| c.sampling.0 != 1 || c.sampling.1 != 1)
         {
             let found = format!("subsampled channel {} (luminance-chroma)", c.name);
-            return refuse(found, "write the image as R, G, B");
+            return refuse(found, SAMPLE);
         }
         let samples =
             (header.layer_size.width() as u64).saturating_mul(header.layer_size.height() as u64);
@@ -220,6 +225,7 @@ fn decode<R: Read + Seek>(
     let (width, height) = (size.width(), size.height());
     let mut image = StoredImage { width, height, channels: Vec::new() };
     let several = parts.len() > 1;
+    metadata.is_multipart = several;
     for part in parts {
         let name = part.attributes.layer_name.as_ref().map(to_string).unwrap_or_default();
         if part.size == size && part.attributes.layer_position == position {

@@ -190,6 +190,8 @@ pub struct Metadata {
     /// Names of parts whose size or place differs from the first part's; they were not read into
     /// the [`Image`].
     pub parts_left_out: Vec<String>,
+    /// Whether the file has several parts.
+    pub is_multipart: bool,
 }
 
 impl Metadata {

@@ -6,9 +6,16 @@ use std::path::{Path, PathBuf};
 const ENTRIES_MAX: usize = 100_000;
 
 /// The file called `name` beside the file `from`. Where there is none of exactly that name: with slashes for backslashes, in upper or
-/// lower case, or by its last part alone, for paths of the machine that wrote it. A device or pipe of the exact name is returned for readers
+/// lower case, or by its last part alone, for paths of the machine that wrote it, and all that without a comment behind it. A device or pipe of the exact name is returned for readers
 /// to refuse as such. `None` if all fail.
 pub(crate) fn find_file(from: &Path, name: &str) -> Option<PathBuf> {
+    find_named(from, name).or_else(|| {
+        let end = name.find(" #").or_else(|| name.find("\t#"))?;
+        find_named(from, &name[..end])
+    })
+}
+
+fn find_named(from: &Path, name: &str) -> Option<PathBuf> {
     let folder = from.parent().unwrap_or(Path::new(""));
     let name = name.trim().trim_matches('"').trim();
     let turned = name.replace('\\', "/");
@@ -65,7 +72,12 @@ mod tests {
         for name in ["Maps/Wood.png", "Maps\\Wood.png", "maps/WOOD.PNG", ".\\MAPS\\wood.png"] {
             assert_eq!(find_file(&from, name).as_ref(), Some(&file), "{name}");
         }
-        for name in ["\"sky blue.png\"", "C:\\Users\\me\\sky blue.png", "/srv/me/SKY BLUE.png"] {
+        for name in [
+            "\"sky blue.png\"",
+            "sky blue.png # of 1998",
+            "C:\\Users\\me\\sky blue.png",
+            "/srv/me/SKY BLUE.png",
+        ] {
             assert_eq!(find_file(&from, name).as_ref(), Some(&beside), "{name}");
         }
         for name in ["", "Maps", "none.png", "maps/none.png", "..", "/", "\\"] {

@@ -12,6 +12,7 @@ mod find_file;
 mod hide;
 mod light;
 mod model;
+mod origin;
 mod polygon;
 mod procedural;
 mod read_gltf;

@@ -1,7 +1,7 @@
 //! The scene in memory: meshes placed by instances, materials, textures, cameras, lights.
 
 use crate::{PunctualLight, Texture};
-use pbgi_math::{Aabb, Affine3A, Vec2, Vec3};
+use pbgi_math::{Aabb, Affine3A, DVec3, Vec2, Vec3};
 use std::path::PathBuf;
 
 /// A triangle mesh with one material.
@@ -124,6 +124,8 @@ impl Camera {
 /// Everything a scene file holds that the engine uses.
 #[derive(Clone, Debug, Default)]
 pub struct Scene {
+    /// World position of the origin of all coordinates.
+    pub origin: DVec3,
     /// Meshes, shared by instances.
     pub meshes: Vec<Mesh>,
     /// Placements, in file order: the order of their surfels.
@@ -143,7 +145,7 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Box of all triangles in the world: of the meshes' positions under their instances' transforms.
+    /// Box of all triangles, relative to the origin: of the meshes' positions under their instances' transforms.
     #[must_use]
     pub fn bounds(&self) -> Aabb {
         let of_instance = |instance: &Instance| {

@@ -2,15 +2,17 @@
 
 mod mtl;
 
+use crate::origin::Places;
 use crate::polygon::Triangulator;
 use crate::resources::Resources;
 use crate::texture::display_to_linear;
 use crate::{Instance, Material, Mesh, Scene, SceneError};
+use mtl::Placement;
 use pbgi_cloud::parse_number;
 use pbgi_file::open_input;
-use pbgi_math::{Affine3A, Vec2, Vec3};
+use pbgi_math::{Affine3A, DVec3, Vec2, Vec3};
 use std::collections::{BTreeMap, HashMap};
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 
 /// Longest line in bytes.
@@ -82,8 +84,12 @@ pub(crate) fn read_obj(path: &Path, resources: &Resources) -> Result<Scene, Scen
     Ok(obj.into_scene())
 }
 
+/// Beginning of comments of ZBrush with mask and color of vertices, in lower case.
+const COLORS_KEYWORD: &str = "#mrgb";
+
 /// Calls `visit` with line number (from 1), first word in lower case, and rest of each line that is neither empty
-/// nor a comment. A backslash at its end continues a line; a byte order mark before the first is skipped.
+/// nor a comment, unless it has colors. A backslash at its end continues a line; a byte order mark before the first is skipped. Lines may
+/// end as on any system.
 fn read_lines(
     path: &Path,
     mut visit: impl FnMut(u64, &str, &str) -> Result<(), SceneError>,
@@ -93,7 +99,7 @@ fn read_lines(
     let (mut line, mut number) = (Vec::new(), 0);
     loop {
         let (before, room) = (line.len(), LINE_BYTES_MAX.saturating_sub(line.len() as u64));
-        let read = reader.by_ref().take(room).read_until(b'\n', &mut line);
+        let read = read_line_of_any_end(&mut reader, room as usize, &mut line);
         let read = read.map_err(|e| SceneError::io(path, "read", e))?;
         number += 1;
         if number == 1 {
@@ -114,14 +120,43 @@ fn read_lines(
         let text = String::from_utf8_lossy(&line);
         let (keyword, rest) =
             text.trim().split_once(char::is_whitespace).unwrap_or((text.trim(), ""));
-        if !keyword.is_empty() && !keyword.starts_with('#') {
-            visit(number, &keyword.to_ascii_lowercase(), rest.trim())?;
+        let keyword = keyword.to_ascii_lowercase();
+        if !keyword.is_empty() && (!keyword.starts_with('#') || keyword == COLORS_KEYWORD) {
+            visit(number, &keyword, rest.trim())?;
         }
         if read == 0 {
             return Ok(());
         }
         line.clear();
     }
+}
+
+/// Appends a line and the byte that ends it, `\n` or `\r`, at most `room` bytes; returns how many were read, 0 at the end. Of `\r\n` both
+/// are read as one end.
+fn read_line_of_any_end(
+    reader: &mut impl BufRead,
+    room: usize,
+    line: &mut Vec<u8>,
+) -> std::io::Result<usize> {
+    let mut read = 0;
+    while read < room {
+        let bytes = reader.fill_buf()?;
+        let bytes = &bytes[..bytes.len().min(room - read)];
+        let end = bytes.iter().position(|byte| matches!(byte, b'\n' | b'\r'));
+        let taken = end.map_or(bytes.len(), |end| end + 1);
+        line.extend_from_slice(&bytes[..taken]);
+        let is_return = end.is_some_and(|end| bytes[end] == b'\r');
+        let is_over = taken == 0 || end.is_some();
+        reader.consume(taken);
+        read += taken;
+        if is_return && reader.fill_buf()?.first() == Some(&b'\n') {
+            reader.consume(1);
+        }
+        if is_over {
+            break;
+        }
+    }
+    Ok(read)
 }
 
 fn skip_byte_order_mark(path: &Path, line: &mut Vec<u8>) -> Result<(), SceneError> {
@@ -152,10 +187,12 @@ struct Part {
 /// What has been read so far.
 #[derive(Default)]
 struct Obj {
-    /// Those that are not finite may not be used.
-    positions: Vec<Vec3>,
+    /// Positions; those that are not finite may not be used.
+    places: Places,
     /// Empty, or one per position, as written.
     colors: Vec<[f32; 3]>,
+    /// Colors of vertices in comments of ZBrush, in their order: codes of a display from 0 to 255.
+    comment_colors: Vec<[u8; 3]>,
     uvs: Vec<Vec2>,
     normals: Vec<Vec3>,
     library: mtl::Library,
@@ -186,7 +223,8 @@ impl Obj {
     fn take_memory(&mut self, path: &Path, resources: &Resources) -> Result<(), SceneError> {
         let corners: usize = self.parts.iter().map(|(_, part)| part.corners.len()).sum();
         let triangles: usize = self.parts.iter().map(|(_, part)| part.triangles.len()).sum();
-        let places = self.positions.len() + self.colors.len() + self.normals.len();
+        let colors = self.colors.len() + self.comment_colors.len();
+        let places = self.places.len() + colors + self.normals.len();
         let held = (places * VERTEX_BYTES
             + self.uvs.len() * size_of::<Vec2>()
             + corners * CORNER_BYTES
@@ -205,6 +243,7 @@ impl Obj {
     ) -> Result<(), String> {
         match keyword {
             "v" => self.read_position(rest)?,
+            COLORS_KEYWORD => self.read_color_comment(rest),
             "vt" => {
                 let [u] = read_any_floats(rest)?;
                 let v = read_any_floats::<2>(rest).map_or(0.0, |[_, v]| v);
@@ -237,27 +276,39 @@ impl Obj {
     }
 
     fn read_position(&mut self, rest: &str) -> Result<(), String> {
-        let position = Vec3::from_array(read_any_floats(rest)?);
+        let position = DVec3::from_array(read_any_numbers(rest)?);
         let words = rest.split_ascii_whitespace().take_while(|word| !word.starts_with('#'));
         if words.count() >= 6 {
             // Colors may begin anywhere in the file; what came before is white.
-            self.colors.resize(self.positions.len(), [1.0; 3]);
+            self.colors.resize(self.places.len(), [1.0; 3]);
             let [.., r, g, b] = read_any_floats::<6>(rest)?;
             self.colors.push([r, g, b].map(|c| if c.is_finite() { c.max(0.0) } else { 0.0 }));
         } else if !self.colors.is_empty() {
             self.colors.push([1.0; 3]);
         }
-        self.positions.push(position);
+        self.places.push(position);
         Ok(())
     }
 
+    /// Eight digits per vertex: mask, red, green, blue. What is no such number is a comment after all.
+    fn read_color_comment(&mut self, rest: &str) {
+        let color = |digits: &[u8]| {
+            let code = u32::from_str_radix(std::str::from_utf8(digits).ok()?, 16).ok()?;
+            let [_, r, g, b] = code.to_be_bytes();
+            Some([r, g, b])
+        };
+        let colors = rest.as_bytes().chunks_exact(8).map_while(color);
+        self.comment_colors.extend(colors);
+    }
+
     fn read_face(&mut self, rest: &str) -> Result<(), String> {
-        let counts = [self.positions.len(), self.uvs.len(), self.normals.len()];
+        let positions = self.places.settle();
+        let counts = [positions.len(), self.uvs.len(), self.normals.len()];
         self.corners.clear();
         self.outline.clear();
         for word in rest.split_ascii_whitespace().take_while(|word| !word.starts_with('#')) {
             let (corner, missing) = read_corner(word, counts)?;
-            let position = self.positions[corner.0 as usize];
+            let position = positions[corner.0 as usize];
             if !position.is_finite() {
                 let number = corner.0 + 1;
                 return Err(format!("position {number} of corner `{word}` is not finite"));
@@ -296,24 +347,27 @@ impl Obj {
     }
 
     fn into_scene(mut self) -> Scene {
-        let mut scene = Scene { warnings: self.warnings(), ..Scene::default() };
-        self.decode_colors();
+        let (origin, positions) = std::mem::take(&mut self.places).finish();
+        let mut scene = Scene { origin, warnings: self.warnings(), ..Scene::default() };
+        self.decode_colors(positions.len());
         scene.textures = std::mem::take(&mut self.library.textures);
         // Materials by name, in order of use; that of colored parts without one is white.
-        let mut materials: HashMap<&Option<String>, u32> = HashMap::new();
+        let mut materials: HashMap<&Option<String>, (u32, Placement)> = HashMap::new();
         let mut untextured = 0;
         for ((name, has_uvs, _), part) in &self.parts {
-            let material = *materials.entry(name).or_insert_with(|| {
-                scene.materials.push(self.find_material(name, &mut scene.warnings));
-                scene.materials.len() as u32 - 1
+            let (material, placement) = *materials.entry(name).or_insert_with(|| {
+                let (material, placement) = self.find_material(name, &mut scene.warnings);
+                scene.materials.push(material);
+                (scene.materials.len() as u32 - 1, placement)
             });
             let Material { base_color_texture, emission_texture, .. } =
                 &scene.materials[material as usize];
             if !has_uvs && base_color_texture.or(*emission_texture).is_some() {
                 untextured += part.triangles.len();
             }
-            let mesh =
-                part.to_mesh([&self.positions, &self.normals], &self.uvs, &self.colors, material);
+            let mut mesh =
+                part.to_mesh([&positions, &self.normals], &self.uvs, &self.colors, material);
+            mesh.uvs.iter_mut().for_each(|uv| *uv = placement.place(*uv));
             scene
                 .instances
                 .push(Instance { mesh: scene.meshes.len() as u32, transform: Affine3A::IDENTITY });
@@ -327,24 +381,35 @@ impl Obj {
         scene
     }
 
-    /// The material called `name`, else one in other case, else a gray one, which vertex colors make white.
-    fn find_material(&self, name: &Option<String>, warnings: &mut Vec<String>) -> Material {
+    /// The material called `name`, else one in other case, or with other quotes or comments, else a gray one, which vertex colors make
+    /// white; and where its textures lie.
+    fn find_material(
+        &self,
+        name: &Option<String>,
+        warnings: &mut Vec<String>,
+    ) -> (Material, Placement) {
         let base_color = match self.colors.is_empty() {
             true => Material::default().base_color,
             false => [1.0; 3],
         };
         let Some(name) = name else {
-            return Material { name: "default".into(), base_color, ..Material::default() };
+            let plain = Material { name: "default".into(), base_color, ..Material::default() };
+            return (plain, Placement::default());
         };
+        let library = &self.library;
         let last = |is_it: &dyn Fn(&str) -> bool| {
-            self.library.materials.iter().rev().find(|material| is_it(&material.name))
+            library.materials.iter().rposition(|material| is_it(&material.name))
         };
-        let found =
-            last(&|own| own == name).or_else(|| last(&|own| own.eq_ignore_ascii_case(name)));
-        found.cloned().unwrap_or_else(|| {
+        let plain = plain_name(name);
+        let found = last(&|own| own == name)
+            .or_else(|| last(&|own| own.eq_ignore_ascii_case(name)))
+            .or_else(|| last(&|own| plain_name(own).eq_ignore_ascii_case(plain)));
+        let known = found.map(|i| (library.materials[i].clone(), library.placements[i]));
+        known.unwrap_or_else(|| {
             let color = if self.colors.is_empty() { "a gray one is" } else { "vertex colors are" };
             warnings.push(format!("material {name} is not in any material library; {color} used"));
-            Material { name: name.clone(), base_color, ..Material::default() }
+            let plain = Material { name: name.clone(), base_color, ..Material::default() };
+            (plain, Placement::default())
         })
     }
 
@@ -382,7 +447,13 @@ impl Obj {
     }
 
     /// Makes colors linear: they are those of a display, from 0 to 1, or to 255 where one is above 1.
-    fn decode_colors(&mut self) {
+    fn decode_colors(&mut self, position_count: usize) {
+        let in_comments = std::mem::take(&mut self.comment_colors);
+        if self.colors.is_empty() && !in_comments.is_empty() {
+            let color = |codes: &[u8; 3]| codes.map(|c| f32::from(c) / 255.0);
+            self.colors = in_comments.iter().map(color).collect();
+            self.colors.resize(position_count, [1.0; 3]);
+        }
         let largest = self.colors.iter().flatten().fold(0f32, |max, &c| max.max(c));
         let scale = if largest > 1.0 { 1.0 / 255.0 } else { 1.0 };
         for color in &mut self.colors {
@@ -424,6 +495,12 @@ impl Part {
     }
 }
 
+/// A name without quotes and without a comment behind it.
+fn plain_name(name: &str) -> &str {
+    let end = name.find(" #").or_else(|| name.find("\t#")).unwrap_or(name.len());
+    name[..end].trim().trim_matches('"').trim()
+}
+
 /// The first `N` numbers of a line up to a comment, all finite; `defaults` that are numbers may be missing.
 fn read_floats<const N: usize>(text: &str, defaults: [f32; N]) -> Result<[f32; N], String> {
     let mut values = defaults;
@@ -443,12 +520,16 @@ fn read_floats<const N: usize>(text: &str, defaults: [f32; N]) -> Result<[f32; N
 
 /// The first `N` numbers of a line, which need not be finite.
 fn read_any_floats<const N: usize>(text: &str) -> Result<[f32; N], String> {
+    Ok(read_any_numbers(text)?.map(|value| value as f32))
+}
+
+/// As [`read_any_floats`], with all digits.
+fn read_any_numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
     let mut words = text.split_ascii_whitespace().take_while(|word| !word.starts_with('#'));
     let mut values = [0.0; N];
     for value in &mut values {
         let word = words.next().ok_or_else(|| format!("expected {N} numbers, found `{text}`"))?;
-        let parsed = parse_number(word).ok_or_else(|| format!("`{word}` is not a number"))?;
-        *value = parsed as f32;
+        *value = parse_number(word).ok_or_else(|| format!("`{word}` is not a number"))?;
     }
     Ok(values)
 }
@@ -749,7 +830,7 @@ mod tests {
         for (options, warnings) in [
             ("", 0),
             ("-blendu off -mm 0 1 -s 1 1 1 -o 0 0", 0),
-            ("-s 2 2 1", 1),
+            ("-s 2 2 1", 0),
             ("-o 0.5 -t 0.1 0 0", 1),
             ("-bm 0.5 -mm 0.2 0.5", 1),
         ] {
@@ -763,6 +844,12 @@ mod tests {
         };
         assert!(at_edge("-clamp on") > 0.99 && at_edge("-clamp off") < 0.8);
         assert!(read_with("map_Kd", &[]).warnings[0].contains("names no file"));
+        // The corner of 1, 1 as OBJ counts, whose second coordinate grows upward.
+        let scene = read_with("map_Kd -s 2 3 1 -o 0.25 0.5 0 my map.png", files);
+        assert_eq!(scene.meshes[0].uvs[2], Vec2::new(2.25, -2.5));
+        assert_eq!(scene.meshes[0].uvs[0], Vec2::new(0.25, 0.5));
+        let unlike = read_with("map_Kd my map.png\nmap_d -s 2 2 my map.png", files);
+        assert!(unlike.warnings[0].contains("places its textures differently"));
     }
 
     #[test]
@@ -775,6 +862,67 @@ mod tests {
         );
         let metal = read_with("Pm 1\nPr 0.3", &[]);
         assert_eq!((metal.materials[0].metallic, metal.materials[0].roughness), (1.0, 0.3));
+    }
+
+    #[test]
+    fn what_is_not_read_of_materials_is_named() {
+        let lines = "Ka 1 1 1\nKs 0.5\nNs 250\nNi 1.5\nillum 2\nPc 0\nPcr 0.03\nbump -bm 0.2 a.png\nNorm a.png\nmap_Tr a.png\nPc 1\n\
+            glitter 2\nmap_Ka a.png\nKd 200 100 50";
+        let scene = read_with(lines, &[]);
+        let expected = [
+            "`glitter`",
+            "bump (1 times)",
+            "map_tr (1 times) is not read; it makes no holes",
+            "norm (1 times)",
+            "pc (1 times)",
+            "a Kd above 1",
+            "map_Ka and no map_Kd",
+        ];
+        assert_eq!(scene.warnings.len(), expected.len(), "{:?}", scene.warnings);
+        for text in expected {
+            assert!(scene.warnings.iter().any(|warning| warning.contains(text)), "{text}");
+        }
+    }
+
+    #[test]
+    fn lines_may_end_as_on_any_system() {
+        let expected = read(SQUARE, LIBRARY).unwrap().meshes[0].positions.clone();
+        for end in ["\r", "\r\n"] {
+            let text = SQUARE.replace("\n", end).replace("vn 0 0 2", &format!("vn \\{end}0 0 2"));
+            let scene = read(&text, &LIBRARY.replace("\n", end)).unwrap();
+            assert!(scene.warnings.is_empty(), "{:?}", scene.warnings);
+            assert_eq!(scene.meshes[0].positions, expected);
+            let message = read(&text.replace("v 1 0 0", "v 1 0"), LIBRARY).unwrap_err().to_string();
+            assert!(message.contains("line 3: expected 3 numbers"), "{message}");
+        }
+    }
+
+    /// Four vertices, of which a second line colors the last.
+    #[test]
+    fn colors_in_comments_of_zbrush_are_read() {
+        let text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n#MRGB ffff0000ff00ff00ff0000ff\n#MRGB ff808080\n#MRGB is color\n\
+            f 1 2 3 4\n";
+        let scene = read(text, "").unwrap();
+        let colors = &scene.meshes[0].colors;
+        assert_eq!(colors[..3], [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
+        assert!((colors[3][0] - 0.215_86).abs() < 1e-4, "{colors:?}");
+        assert_eq!(scene.materials[0].base_color, [1.0; 3]);
+    }
+
+    #[test]
+    fn names_may_have_quotes_and_comments() {
+        let scene = read(
+            &SQUARE
+                .replace("a b.mtl", "\"a b.mtl\" # library")
+                .replace("usemtl wall", "usemtl \"Wall\" # 1"),
+            LIBRARY,
+        )
+        .unwrap();
+        assert!(scene.warnings.is_empty(), "{:?}", scene.warnings);
+        assert_eq!(scene.materials[1].base_color, [0.2, 0.3, 0.4]);
+        let files: &[(&str, &[u8])] = &[("g.png", &png(1, &[GRAY]))];
+        let textured = read_with("map_Kd g.png # gray", files);
+        assert_eq!(texels(&textured).len(), 1, "{:?}", textured.warnings);
     }
 
     #[test]

@@ -1,13 +1,14 @@
 //! PLY meshes: ASCII and binary, any property order and types, polygons and strips cut into triangles.
 
 use crate::error::from_cloud_error;
+use crate::origin::Places;
 use crate::polygon::Triangulator;
 use crate::resources::Resources;
 use crate::texture::{display_to_linear, srgb_to_linear};
 use crate::{Instance, Material, Mesh, Scene, SceneError};
 use pbgi_cloud::{PlyElement, PlyKind, PlyReader, PlyRow, PlyType};
 use pbgi_file::open_input;
-use pbgi_math::{Affine3A, Vec3};
+use pbgi_math::{Affine3A, DVec3, Vec3};
 use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
@@ -18,11 +19,14 @@ const FACE_ELEMENTS: [&str; 2] = ["face", "tristrips"];
 /// Colors as floats are linear, from 0 to 1; where one is above this, all are codes of a display up to 255.
 const FLOAT_COLOR_MAX: f32 = 1.5;
 
+/// Names of elements that are read, or have nothing to do with light and shape.
+const ELEMENTS: [&str; 4] = ["vertex", "face", "tristrips", "camera"];
+
 /// Names of columns that place textures, which are not read.
 const UV_NAMES: [&str; 8] = ["s", "t", "u", "v", "texture_u", "texture_v", "texcoord", "texnumber"];
 
 /// Reads a PLY mesh as one instance with the default material. Vertex normals (`nx ny nz`) and
-/// colors (`red green blue`: integers as sRGB, floats as linear) are used where present; colors replace the
+/// colors (`red green blue` and other names: integers as sRGB, floats as linear) are used where present; colors replace the
 /// gray of that material.
 ///
 /// Memory is bounded by what the file really holds, not by what its header promises.
@@ -39,6 +43,11 @@ pub(crate) fn read_ply_mesh(path: &Path, resources: &Resources) -> Result<Scene,
         return Err(SceneError::unsupported(path, what, cure));
     };
     let mut mesh = PlyMesh::default();
+    let is_other = |e: &&PlyElement| e.count > 0 && !ELEMENTS.contains(&e.name.as_str());
+    for element in header.elements.iter().filter(is_other) {
+        let PlyElement { name, count, .. } = element;
+        mesh.warnings.push(format!("{count} rows of element {name} are not read"));
+    }
     // Polygons are cut by the places of their corners, which may come behind them.
     if place("vertex").is_some_and(|vertices| vertices < faces) {
         mesh.read(path, &|_| true)?;
@@ -73,6 +82,8 @@ fn take_memory(
 #[derive(Default)]
 struct PlyMesh {
     mesh: Mesh,
+    /// World position of the origin of the mesh's positions.
+    origin: DVec3,
     /// Largest color of type float.
     float_color_max: f32,
     /// Whether a vertex is at no place, and may not be used.
@@ -100,13 +111,14 @@ impl PlyMesh {
 
     fn into_scene(mut self, path: &Path) -> Result<Scene, SceneError> {
         self.check(path)?;
-        let Self { mesh, triangulator, mut warnings, .. } = self;
+        let Self { mesh, triangulator, mut warnings, origin, .. } = self;
         warnings.extend(triangulator.warnings());
         let base_color = match mesh.colors.is_empty() {
             true => Material::default().base_color,
             false => [1.0; 3],
         };
         Ok(Scene {
+            origin,
             meshes: vec![mesh],
             instances: vec![Instance { mesh: 0, transform: Affine3A::IDENTITY }],
             materials: vec![Material { name: "ply".into(), base_color, ..Material::default() }],
@@ -123,6 +135,7 @@ struct VertexColumns {
     color: Option<[usize; 3]>,
     /// Type of the color values.
     color_type: PlyType,
+    alpha: Option<usize>,
 }
 
 impl VertexColumns {
@@ -133,12 +146,22 @@ impl VertexColumns {
         };
         let position = find(["x", "y", "z"])
             .ok_or_else(|| SceneError::malformed(path, "vertices have no x, y and z"))?;
-        let color = find(["red", "green", "blue"]).or_else(|| find(["r", "g", "b"]));
+        let color = element.colors();
         let color_type = match color.and_then(|c| element.properties.get(c[0])).map(|p| p.kind) {
             Some(PlyKind::Scalar(scalar)) => scalar,
             _ => PlyType::F32,
         };
-        Ok(Self { position, normal: find(["nx", "ny", "nz"]), color, color_type })
+        let alpha = element.property("alpha");
+        Ok(Self { position, normal: element.normals(), color, color_type, alpha })
+    }
+}
+
+/// Alpha of what is opaque.
+fn largest_alpha(element: &PlyElement, column: usize) -> f64 {
+    match element.properties.get(column).map(|p| p.kind) {
+        Some(PlyKind::Scalar(PlyType::F32 | PlyType::F64)) => 1.0,
+        Some(PlyKind::Scalar(PlyType::U16)) => 65_535.0,
+        _ => 255.0,
     }
 }
 
@@ -162,19 +185,34 @@ impl PlyMesh {
     ) -> Result<(), SceneError> {
         let columns = VertexColumns::find(path, element)?;
         self.warn_of_textures(element);
+        self.warnings.extend(element.describe_unread(true));
+        if element.property("radiance_r").is_some() {
+            self.warnings.push(
+                "radiance of vertices is not read; nothing shines (bake its vertices as a cloud, without faces)".into(),
+            );
+        }
         let mesh = &mut self.mesh;
         let mut row = PlyRow::default();
+        let opaque = columns.alpha.map_or(1.0, |i| largest_alpha(element, i));
+        let (mut places, mut clear_count) = (Places::default(), 0u64);
         while reader.read_row(&mut row).map_err(|e| from_cloud_error(path, e))? {
             let vector = |c: [usize; 3]| Vec3::from_array(c.map(|i| row.scalar(i) as f32));
-            let position = vector(columns.position);
-            self.has_bad_positions |= !position.is_finite();
-            mesh.positions.push(position);
+            let position = DVec3::from_array(columns.position.map(|i| row.scalar(i)));
+            self.has_bad_positions |= !position.as_vec3().is_finite();
+            places.push(position);
+            clear_count += u64::from(columns.alpha.is_some_and(|i| row.scalar(i) < 0.5 * opaque));
             mesh.normals.extend(columns.normal.map(vector));
             let linear = |i: usize| linear_color(row.scalar(i), columns.color_type);
             let color = columns.color.map(|c| c.map(linear));
             let largest = color.iter().flatten().fold(0f32, |max, c| max.max(*c));
             self.float_color_max = self.float_color_max.max(largest);
             mesh.colors.extend(color);
+        }
+        (self.origin, mesh.positions) = places.finish();
+        if clear_count > 0 {
+            self.warnings.push(format!(
+                "{clear_count} vertices have an alpha below one half; all surfaces are opaque"
+            ));
         }
         Ok(())
     }
@@ -187,7 +225,7 @@ impl PlyMesh {
     ) -> Result<(), SceneError> {
         let column = find_indices(path, element)?;
         self.warn_of_textures(element);
-        if element.property("red").is_some() {
+        if element.colors().is_some() || element.property("red").is_some() {
             self.warnings
                 .push("colors of faces are not read; those of vertices are used, or gray".into());
         }
@@ -215,7 +253,7 @@ impl PlyMesh {
         Ok(())
     }
 
-    /// Strips of triangles, every other one of which runs backward; −1 starts the next.
+    /// Strips of triangles, every other one of which runs backward; −1, as a type without signs has it, too, starts the next.
     fn read_strips(
         &mut self,
         path: &Path,
@@ -225,7 +263,9 @@ impl PlyMesh {
         let column = find_indices(path, element)?;
         let mut row = PlyRow::default();
         while reader.read_row(&mut row).map_err(|e| from_cloud_error(path, e))? {
-            for strip in row.list(column).split(|&index| index == -1.0) {
+            for strip in
+                row.list(column).split(|&index| index == -1.0 || index == f64::from(u32::MAX))
+            {
                 for (k, corners) in strip.windows(3).enumerate() {
                     let [a, b, c] = [0, 1, 2].map(|i| index_of(&corners[i]));
                     // Strips turn by repeating a vertex.
@@ -425,6 +465,8 @@ mod tests {
             .replace("5 4 0 1 2 3\n9 3 2 1 0\n", "10 0 1 3 2 -1 0 1 1 2 3\n");
         let scene = read(text.as_bytes()).unwrap();
         assert_eq!(scene.meshes[0].triangles, [[0, 1, 3], [3, 1, 2], [1, 2, 3]]);
+        let wide = text.replace("2 -1 0", "2 4294967295 0").replace("int int", "int uint");
+        assert_eq!(read(wide.as_bytes()).unwrap().meshes[0].triangles.len(), 3);
         for (from, to) in [("0 1 3 2 -1", "0 1 3 2 -2"), ("0 1 3 2 -1", "0 1 3 4 -1")] {
             assert!(read(text.replace(from, to).as_bytes()).is_err());
         }
@@ -488,6 +530,58 @@ mod tests {
         let scene = read(text.as_bytes()).unwrap();
         let [uvs, colors] = &scene.warnings[..] else { panic!("{:?}", scene.warnings) };
         assert!(uvs.contains("(s, t of element vertex)") && colors.contains("colors of faces"));
+    }
+
+    #[test]
+    fn names_of_columns_are_those_of_clouds() {
+        for [from, to] in [["red", "diffuse_red"], ["red", "Red"], ["red", "r"]] {
+            let text = ["red", "green", "blue"].into_iter().fold(ascii(), |text, name| {
+                let other = match to {
+                    "r" => name[..1].to_owned(),
+                    "Red" => name.to_uppercase(),
+                    _ => to.replace(from, name),
+                };
+                text.replace(&format!("uchar {name}"), &format!("uchar {other}"))
+            });
+            let mesh = &read(text.as_bytes()).unwrap().meshes[0];
+            assert_eq!(mesh.colors[0][..2], [1.0, 0.0], "{to}");
+        }
+        let text = ascii()
+            .replace("int z\n", "int z\nproperty float normal_x\nproperty float normal_y\nproperty float normal_z\n")
+            .replace(" 7\n", " 7 0 0 3\n");
+        assert_eq!(read(text.as_bytes()).unwrap().meshes[0].normals, [Vec3::Z; 4]);
+    }
+
+    #[test]
+    fn what_changes_light_and_is_not_read_is_named() {
+        let bare = ascii().replace("uchar red", "uchar r0");
+        let with = |text: &str, column: &str, value: &str| {
+            let text = text
+                .replace("int z\n", &format!("int z\nproperty {column}\n"))
+                .replace(" 7\n", &format!(" 7 {value}\n"));
+            read(text.as_bytes()).unwrap().warnings
+        };
+        for (column, value, expected) in [
+            ("float scalar_Intensity", "5", "scalar_Intensity; albedo is gray"),
+            ("float rgb", "5", "packed into one number"),
+            ("float radiance_r", "5", "radiance of vertices is not read"),
+            ("uchar alpha", "127", "4 vertices have an alpha below one half"),
+            ("float alpha", "0.2", "4 vertices have an alpha below one half"),
+        ] {
+            let warnings = with(&bare, column, value);
+            assert!(warnings.len() == 1 && warnings[0].contains(expected), "{warnings:?}");
+        }
+        for (column, value) in
+            [("float Intensity", "5"), ("uchar alpha", "255"), ("float quality", "1")]
+        {
+            assert!(with(&ascii(), column, value).is_empty(), "{column}");
+        }
+        let text =
+            ascii().replace("end_header", "element edge 1\nproperty int v1\nend_header") + "0\n";
+        assert_eq!(
+            read(text.as_bytes()).unwrap().warnings,
+            ["1 rows of element edge are not read"]
+        );
     }
 
     #[test]

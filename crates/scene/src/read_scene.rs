@@ -1,5 +1,6 @@
 //! Scene files of any kind.
 
+use crate::origin::warn_of_lost_digits;
 use crate::read_gltf::read_gltf;
 use crate::read_obj::read_obj;
 use crate::read_ply_mesh::read_ply_mesh;
@@ -41,7 +42,9 @@ pub fn read_scene_within(path: &Path, allowance: &Allowance) -> Result<Scene, Sc
             "expected .glb, .gltf, .obj or .ply",
         )),
     }?;
-    Ok(Scene { files: resources.into_files(), ..scene })
+    let mut scene = Scene { files: resources.into_files(), ..scene };
+    warn_of_lost_digits(&mut scene);
+    Ok(scene)
 }
 
 #[cfg(test)]

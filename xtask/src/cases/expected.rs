@@ -19,9 +19,51 @@ pub enum Check {
     Largest { file: &'static str, column: &'static str, row: usize },
     /// A file that it writes holds this text.
     Holds { file: &'static str, text: &'static str },
+    /// It ends with this code.
+    Code(i32),
+    /// The numbers before this unit that it says on standard error, or where there are none, at all, as many as there are bounds, are at
+    /// most these.
+    AtMost { unit: &'static str, bounds: &'static [f64] },
+    /// All pairs `a,b` that it says: the first within a share, the second within a difference.
+    Pairs { expected: &'static [[f64; 2]], relative: f64, absolute: f64 },
+    /// What follows each `begins`, up to the next, says one of these.
+    EachSays { begins: &'static str, any: &'static [&'static str] },
+    /// A shell script that is run behind it prints this.
+    Prints { script: &'static str, expected: &'static str },
 }
 
-use Check::{Areas, Column, Holds, Largest, Never, Says, Values};
+use Check::{
+    Areas, AtMost, Code, Column, EachSays, Holds, Largest, Never, Pairs, Prints, Says, Values,
+};
+
+/// KiB.
+const MIB: f64 = 1024.0;
+
+/// Least and largest sum of RenderMan's `occlusion` and of the openness of the same picture.
+const OCCLUSION: &str = r#"
+pbgi-shade out.pbgi --scene corner.obj --camera-position 0,1,4 --camera-target 0,0.5,0 --resolution 32x32 --env-color 1,1,1 -o open.exr -q
+python3 -c '
+import OpenEXR
+read = lambda name: OpenEXR.File(name, separate_channels=True).channels()
+covered, opened = read("out.exr"), read("open.exr")
+seen = opened["A"].pixels > 0.999
+both = (covered["occlusion"].pixels + opened["AO"].pixels)[seen]
+print("%.4f %.4f" % (both.min(), both.max()))'
+"#;
+
+/// π/(1 + h²) and 1 − 1/(1 + h²) for the heights of `facing-surfel`, each of a disk and of a square.
+const FACING: [[f64; 2]; 10] = [
+    [PI, 1e-6],
+    [PI, 1e-6],
+    [3.1413, 1e-4],
+    [3.1413, 1e-4],
+    [3.1341, 0.0024],
+    [3.1341, 0.0024],
+    [3.1334, 0.0026],
+    [3.1334, 0.0026],
+    [3.1105, 0.0099],
+    [3.1105, 0.0099],
+];
 
 fn albedo(column: &'static str, expected: f64) -> Check {
     Column { file: "surfels.ply", column, expected, tolerance: 0.01 }
@@ -92,6 +134,75 @@ pub fn checks_of(case: &str) -> Vec<Check> {
         "message-deep-exr" => vec![Says("--flatten")],
         "message-png-environment" => vec![Says("--colorconvert srgb linear"), Says("no sun")],
         "message-gltf-1" => vec![Says("glTF version 1.0 is not supported; convert it to glTF 2.0")],
+        "big-environment" => {
+            let bounds = &[64.0 * MIB, 256.0 * MIB, 512.0 * MIB, 256.0 * MIB];
+            vec![AtMost { unit: "KiB", bounds }]
+        }
+        "facing-surfel" => {
+            vec![Pairs { expected: &FACING, relative: 0.01, absolute: 0.01 }]
+        }
+        "gltf-too-many-instances" => vec![
+            AtMost { unit: "KiB", bounds: &[80.0 * MIB; 2] },
+            AtMost { unit: "s", bounds: &[10.0; 2] },
+            Never("Aborted"),
+        ],
+        "library-read-again" => vec![
+            AtMost { unit: "KiB", bounds: &[80.0 * MIB] },
+            AtMost { unit: "s", bounds: &[20.0] },
+            Holds { file: "o.pbgi", text: "PBGITREE" },
+        ],
+        "textures-in-sum" => vec![
+            AtMost { unit: "KiB", bounds: &[80.0 * MIB] },
+            AtMost { unit: "s", bounds: &[20.0] },
+        ],
+        "limit-above-memory" => vec![Says("surfels 2")],
+        "linked-temporary" => vec![Code(0), Says("precious; out.pbgi is a regular file")],
+        "many-at-one-place" => vec![
+            AtMost { unit: "s", bounds: &[3.0; 3] },
+            AtMost { unit: "KiB", bounds: &[256.0 * MIB; 3] },
+            Values { file: "o.csv", column: "irradiance_r", expected: &[0.2 * PI] },
+            Values { file: "o.csv", column: "ao", expected: &[0.8] },
+        ],
+        "map-exceeds-limit" => {
+            vec![AtMost { unit: "KiB", bounds: &[64.0 * MIB; 2] }, Says("read:"), Says("map:")]
+        }
+        "octree-link-graph" => {
+            vec![Says("verify 3 shade 3 points 3 verify 3 shade 3 points 3")]
+        }
+        "octree-sparse-table" => vec![
+            AtMost { unit: "KiB", bounds: &[64.0 * MIB; 2] },
+            EachSays { begins: "non-zero status ", any: &["3", "4"] },
+        ],
+        "output-is-device" => vec![Code(0), Says("to a null device: exit")],
+        "output-is-input" => {
+            vec![Code(0), Says("0 inputs lost"), Never("instead of 2"), Never("one is lost")]
+        }
+        // Made within the limit that is given; what the default would need is told, and in docs/pipelines.md.
+        "picture-of-4k" => vec![
+            Code(0),
+            AtMost { unit: "KiB", bounds: &[2334.0 * MIB] },
+            EachSays { begins: "a memory limit of", any: &["(--memory-limit", "(--aovs)"] },
+        ],
+        "renderman-occlusion" => vec![Prints { script: OCCLUSION, expected: "1.0000 1.0000" }],
+        "resume-with-changed-library" => vec![Code(0), Says("as a fresh bake")],
+        // The same, or refused: never NaN, never other without a word.
+        "scale-extremes" => vec![
+            EachSays { begins: ": exit ", any: &["0, 0 rows with NaN, same", "3, "] },
+            Says("2^28: exit 0, 0 rows with NaN, same"),
+        ],
+        "stderr-closed" => vec![
+            Says("closed: 3 (expected 3)"),
+            Says("full: 3 (expected 3)"),
+            Says("closed: 0 (expected 0), 3 frames"),
+        ],
+        "two-resumed-bakes" => {
+            vec![Says("another bake works on this output"), Says("first: exit 0")]
+        }
+        "uri-devices" => vec![
+            AtMost { unit: "s", bounds: &[2.0; 8] },
+            AtMost { unit: "KiB", bounds: &[80.0 * MIB; 8] },
+        ],
+        "verified-but-nan" => vec![Says("3 3 pbgi info")],
         _ => vec![],
     }
 }

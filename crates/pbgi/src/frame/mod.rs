@@ -154,14 +154,15 @@ impl<'a> FrameJob<'a> {
         let header = read_header(request.octree)?;
         let environment = settings.load_environment(&header)?;
         let split = MemorySplit::measure(settings);
-        let (image, per_row) = frame_bytes(request);
+        let (image, per_row) = frame_bytes(request, header.surfel_count);
         let frame = image + per_row * u64::from(TILE_ROWS);
-        let split = split.grant(frame, frame)?;
+        let hint = |e| PbgiError::budget(format!("{e}; fewer quantities take less (--aovs)"));
+        let split = split.grant(frame, frame).map_err(hint)?;
         let extra_readers = usize::from(request.scene.is_none());
         let mut session =
             Session::open(request.octree, settings, environment, split, extra_readers, cancel)?;
         session.warnings.extend(request.scene.and_then(|scene| unlike_size(scene, &header)));
-        let origin = if request.scene.is_some() { DVec3::ZERO } else { header.origin };
+        let origin = request.scene.map_or(header.origin, |scene| scene.origin);
         let context = CameraContext {
             scene: request.scene,
             bounds: request.scene.map_or(header.bounds, Scene::bounds),
@@ -338,13 +339,14 @@ impl Seen {
     }
 }
 
-/// Estimated bytes of the image, and of what a row needs while it is made.
-fn frame_bytes(request: &FrameRequest<'_>) -> (u64, u64) {
+/// Estimated bytes of the image, and of what a row needs while it is made, of an octree of so many surfels.
+fn frame_bytes(request: &FrameRequest<'_>, surfel_count: u64) -> (u64, u64) {
     let width = u64::from(request.width);
     let pixels = width * u64::from(request.height);
-    // Surfels keep their results until the end: about one per pixel, in a table half full.
-    let kept = if request.scene.is_none() { 2 * (8 + size_of::<Shading>() as u64) } else { 0 };
-    let image = pixels * (output::channel_count(&request.aovs) as u64 * 4 + 16 + kept);
+    // Surfels keep their results until the end: about one per pixel if there are as many, in a table half full.
+    let kept_count = if request.scene.is_none() { pixels.min(surfel_count) } else { 0 };
+    let kept = kept_count * 2 * (8 + size_of::<Shading>() as u64);
+    let image = pixels * (output::channel_count(&request.aovs) as u64 * 4 + 16) + kept;
     // A piece, its receiver and its result, with what hiding holds while it makes them.
     let piece = (size_of::<Piece>()
         + size_of::<Micropolygon>()
@@ -368,6 +370,19 @@ mod tests {
     use crate::frame::request::FRAME_AOVS;
     use crate::shade::ShadeSettings;
     use crate::{BakeRequest, EnvironmentSpec, LightSource, Sampling, bake, load_scene};
+
+    /// A picture of 4K of a small octree with all quantities takes little more than its channels.
+    #[test]
+    fn pictures_take_what_their_channels_and_surfels_take() {
+        let mut request = request(Path::new("a.pbgi"), None);
+        (request.width, request.height) = (3840, 2160);
+        let pixels = 3840 * 2160;
+        let (few, _) = frame_bytes(&request, 20_000);
+        let channels = pixels * 4 * output::channel_count(&request.aovs) as u64;
+        assert!(few > channels && few < channels + 18 * pixels, "{few} {channels}");
+        let (many, _) = frame_bytes(&request, 1 << 40);
+        assert!(many > few + 2 * size_of::<Shading>() as u64 * (pixels - 20_000));
+    }
 
     fn request<'a>(octree: &'a Path, scene: Option<&'a Scene>) -> FrameRequest<'a> {
         let source = LightSource::Uniform([1.0, 2.0, 3.0]);

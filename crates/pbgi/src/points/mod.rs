@@ -125,6 +125,7 @@ pub fn shade_points(
     let mut session =
         Session::open(request.octree, settings, environment, split, extra_readers, cancel)?;
     session.warnings.extend(lost_elements(rows.as_ref(), request.target));
+    session.warnings.extend(rows.as_ref().and_then(lost_lists));
     let job = PointsJob { rules, progress, cancel };
     match &mut rows {
         Some(rows) => {
@@ -148,6 +149,12 @@ pub fn shade_points(
     writer.finish()?;
     report.total_seconds = start.elapsed().as_secs_f64();
     Ok(report)
+}
+
+/// Columns of a file of receivers that its results do not have.
+fn lost_lists(rows: &PointRows) -> Option<String> {
+    let names = rows.list_columns().join(", ");
+    (!names.is_empty()).then(|| format!("columns of lists do not come back: {names}"))
 }
 
 /// What of a file of receivers its results do not have, where they are not a PLY file.

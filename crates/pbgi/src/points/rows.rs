@@ -54,6 +54,14 @@ impl PointRows {
         }
     }
 
+    /// Columns of lists, which no table has.
+    pub fn list_columns(&self) -> &[String] {
+        match self {
+            Self::Table(_, reader) => reader.list_columns(),
+            Self::Scan(_) => &[],
+        }
+    }
+
     /// The elements of the file besides its vertices, such as faces.
     pub fn other_elements(&self) -> &[PlyElement] {
         match self {

@@ -7,7 +7,7 @@ mod triangle;
 
 use crate::{Instance, Mesh, Scene, Texture};
 use pbgi_cloud::{CloudError, Surfel, SurfelSource};
-use pbgi_math::Aabb;
+use pbgi_math::{Aabb, DVec3};
 use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -244,6 +244,10 @@ impl<'a> DicedScene<'a> {
 }
 
 impl SurfelSource for DicedScene<'_> {
+    fn origin(&self) -> DVec3 {
+        self.meshes.scene.origin
+    }
+
     /// Box of all meshes, which holds all centers.
     fn bounds(&self) -> Option<Aabb> {
         (!self.bounds.is_empty()).then_some(self.bounds)

@@ -32,12 +32,30 @@ impl<'a> Accessors<'a> {
         types: &[Type],
         fill: f32,
     ) -> Result<Vec<[f32; N]>, String> {
+        self.decode(&self.pack_typed(index, types)?, fill)
+    }
+
+    /// As [`Self::read_vectors`], where integers are normalized, whether the accessor says so or not.
+    pub fn read_shares<const N: usize>(
+        &self,
+        index: usize,
+        types: &[Type],
+        fill: f32,
+    ) -> Result<Vec<[f32; N]>, String> {
+        let packed = Packed { normalized: true, ..self.pack_typed(index, types)? };
+        self.decode(&packed, fill)
+    }
+
+    fn pack_typed(&self, index: usize, types: &[Type]) -> Result<Packed, String> {
         let accessor = self.root.accessors.get(index).ok_or("there is no such accessor")?;
         let type_ = valid(&accessor.type_)?;
         if !types.contains(&type_) {
             return Err(format!("is {type_:?}, expected {types:?}").to_lowercase());
         }
-        let packed = self.pack(accessor)?;
+        self.pack(accessor)
+    }
+
+    fn decode<const N: usize>(&self, packed: &Packed, fill: f32) -> Result<Vec<[f32; N]>, String> {
         let component_bytes = packed.component.size();
         let decode = |element: &[u8]| {
             let mut vector = [fill; N];

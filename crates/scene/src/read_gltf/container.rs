@@ -72,11 +72,11 @@ pub(super) fn resolve_uri(
     resources: &Resources,
 ) -> Result<Arc<[u8]>, SceneError> {
     let malformed = |message: &str| SceneError::malformed(path, format!("{place}: {message}"));
-    if let Some(data) = uri.strip_prefix("data:") {
+    if let Some(data) = data_of(uri) {
         let (kind, data) =
             data.split_once(',').ok_or_else(|| malformed("data uri without a comma"))?;
         resources.take(path, data.len() as u64)?;
-        let bytes = if kind.ends_with(";base64") {
+        let bytes = if kind.trim_end().to_ascii_lowercase().ends_with(";base64") {
             decode_base64(data).ok_or_else(|| malformed("data uri is not valid base64"))
         } else {
             decode_percent(data).ok_or_else(|| malformed("bad %-escape in a data uri"))
@@ -87,15 +87,21 @@ pub(super) fn resolve_uri(
         let cure = "download it, put it beside the file and refer to it by name";
         return Err(SceneError::unsupported(path, format!("{place}: the address {uri}"), cure));
     }
-    let name = decode_percent(uri)
-        .and_then(|bytes| String::from_utf8(bytes).ok())
-        .ok_or_else(|| malformed("bad %-escape in a file name"))?;
-    let file = find_file(path, &name).ok_or_else(|| {
+    // Some writers do not escape, so that a name may hold what looks like an escape.
+    let decoded = decode_percent(uri).and_then(|bytes| String::from_utf8(bytes).ok());
+    let name = decoded.unwrap_or_else(|| uri.to_owned());
+    let file = find_file(path, &name).or_else(|| find_file(path, uri)).ok_or_else(|| {
         let file = path.parent().unwrap_or(Path::new("")).join(&name);
         let source = std::io::Error::new(std::io::ErrorKind::NotFound, "there is no such file");
         SceneError::io(&file, "read", source)
     })?;
     resources.read_referred(&file)
+}
+
+/// What is behind the scheme of a data URI, in any case; `None` for others.
+pub(super) fn data_of(uri: &str) -> Option<&str> {
+    let (scheme, data) = uri.split_at_checked(5)?;
+    scheme.eq_ignore_ascii_case("data:").then_some(data)
 }
 
 /// The bytes of a buffer.
@@ -154,10 +160,17 @@ pub(super) fn load_buffers<'a>(
     root.buffers.iter().enumerate().map(load).collect()
 }
 
-/// Bytes of standard base64 (RFC 4648) with or without padding.
+/// Bytes of base64 (RFC 4648), standard or safe for names, with or without padding, in one line or several.
 fn decode_base64(text: &str) -> Option<Vec<u8>> {
-    let digits = text.trim_end_matches('=').as_bytes();
+    let digits = text.trim_ascii_end().trim_end_matches('=').as_bytes();
     let mut bytes = Vec::with_capacity(digits.len() / 4 * 3 + 3);
+    let lines: Vec<u8>;
+    let digits = if digits.iter().any(u8::is_ascii_whitespace) {
+        lines = digits.iter().copied().filter(|byte| !byte.is_ascii_whitespace()).collect();
+        &lines
+    } else {
+        digits
+    };
     for group in digits.chunks(4) {
         let mut word = 0u32;
         for &digit in group {
@@ -165,8 +178,8 @@ fn decode_base64(text: &str) -> Option<Vec<u8>> {
                 b'A'..=b'Z' => digit - b'A',
                 b'a'..=b'z' => digit - b'a' + 26,
                 b'0'..=b'9' => digit - b'0' + 52,
-                b'+' => 62,
-                b'/' => 63,
+                b'+' | b'-' => 62,
+                b'/' | b'_' => 63,
                 _ => return None,
             };
             word = word << 6 | u32::from(value);
@@ -217,8 +230,10 @@ mod tests {
             assert_eq!(decode_base64(text).unwrap(), bytes.as_bytes());
         }
         assert_eq!(decode_base64("+/+/").unwrap(), [0xfb, 0xff, 0xbf]);
+        assert_eq!(decode_base64("-_+/").unwrap(), [0xfb, 0xff, 0xbf]);
+        assert_eq!(decode_base64("Zm9v\r\nYm\n Fy=\n").unwrap(), b"foobar");
         assert!(decode_base64("Zm9vY").is_none());
-        assert!(decode_base64("Zm 9").is_none());
+        assert!(decode_base64("Zm*9").is_none());
     }
 
     #[test]

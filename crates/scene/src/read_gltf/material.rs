@@ -1,7 +1,7 @@
 //! Materials and their textures.
 
 use super::accessor::Accessors;
-use super::container::{Buffer, resolve_uri};
+use super::container::{Buffer, data_of, resolve_uri};
 use super::prepare::Extras;
 use crate::decode_texture::{TextureSize, decode_image, texels_of};
 use crate::resources::{Resources, is_lack_of_memory};
@@ -117,6 +117,11 @@ pub(super) fn read_materials(
             result.textures.push(texture);
             result.textures.len() as u32 - 1
         }));
+    }
+    let bumpy = document.materials().filter(|m| m.normal_texture().is_some()).count();
+    if bumpy > 0 {
+        let text = "materials have normal maps, which are not read; surfaces have the normals of their vertices";
+        result.warnings.push(format!("{bumpy} {text}"));
     }
     let place = |key: Option<u32>| key.and_then(|key| places[key as usize]);
     let metal_maps =
@@ -380,7 +385,7 @@ impl<'a> Source<'a> {
             (None, Some(uri)) => {
                 let place = format!("image {}", key.image);
                 let bytes = resolve_uri(self.path, &place, uri, self.resources)?;
-                let name = if uri.starts_with("data:") { "" } else { uri.as_str() };
+                let name = if data_of(uri).is_some() { "" } else { uri.as_str() };
                 Ok((name, Buffer::Read(bytes)))
             }
             (None, None) => Err("it has neither a buffer view nor a uri".into()),

@@ -182,7 +182,8 @@ fn read_uvs(
 type Colors = (Vec<[f32; 3]>, Vec<f32>);
 
 fn read_colors(accessors: Accessors, index: usize, count: usize) -> Result<Colors, String> {
-    let read = accessors.read_vectors::<4>(index, &[Type::Vec3, Type::Vec4], 1.0);
+    // Integers are shares of their range, even where the file forgets to say so.
+    let read = accessors.read_shares::<4>(index, &[Type::Vec3, Type::Vec4], 1.0);
     let colors = read.map_err(|e| format!("COLOR_0: {e}"))?;
     check_count("COLOR_0", colors.len(), count)?;
     let clamp = |c: f32| if c.is_finite() { c.clamp(0.0, 1.0) } else { 1.0 };

@@ -176,6 +176,7 @@ impl Reader<'_> {
             }
             if self.extras.hidden.contains(&node.index()) {
                 hidden_count += 1;
+                mark_below(&node, &mut seen);
                 continue;
             }
             let transform = parent * local_transform(&node);
@@ -205,6 +206,12 @@ impl Reader<'_> {
             self.scene.warnings.push(format!("{hidden_count} {text}"));
         }
         lights.warn(&mut self.scene.warnings);
+        let is_missed = |node: &gltf::Node| !seen[node.index()] && node.mesh().is_some();
+        let missed = document.nodes().filter(is_missed).count();
+        if missed > 0 {
+            let text = "nodes with meshes are not in the scene that is read (the default one, else the first); they are left out";
+            self.scene.warnings.push(format!("{missed} {text}"));
+        }
         Ok(())
     }
 
@@ -294,6 +301,16 @@ const POSED_BYTES: u64 = 32;
 fn describe_primitive(mesh: &gltf::Mesh, primitive: &gltf::Primitive) -> String {
     let name = mesh.name().map_or(String::new(), |name| format!(" ({name})"));
     format!("mesh {}{name}, primitive {}", mesh.index(), primitive.index())
+}
+
+/// Marks all nodes below one as seen, which may be seen already.
+fn mark_below(node: &gltf::Node, seen: &mut [bool]) {
+    let mut stack: Vec<gltf::Node> = node.children().collect();
+    while let Some(node) = stack.pop() {
+        if !std::mem::replace(&mut seen[node.index()], true) {
+            stack.extend(node.children());
+        }
+    }
 }
 
 /// Roots of the default or first scene; without any scene, all nodes that are no one's child.

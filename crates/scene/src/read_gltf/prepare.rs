@@ -91,6 +91,9 @@ pub(super) fn prepare(
     warnings: &mut Vec<String>,
 ) -> Result<(Root, Extras), SceneError> {
     let json = json.strip_prefix("\u{feff}".as_bytes()).unwrap_or(json);
+    // What is not UTF-8 can only be in names and remarks.
+    let json = &*String::from_utf8_lossy(json);
+    let json = json.as_bytes();
     // Chunks are padded, by some writers with zeros.
     let json = json.trim_ascii_end();
     let zeros = json.iter().rev().take_while(|byte| **byte == 0).count();
@@ -100,6 +103,7 @@ pub(super) fn prepare(
     let mut value: Value = deserialize::from_slice(json).map_err(invalid)?;
     check_version(path, &value)?;
     check_extensions(path, &value, warnings)?;
+    check_compression(path, &value)?;
     if let Some(root) = value.as_object_mut() {
         root.remove("extensionsRequired");
     }
@@ -109,8 +113,22 @@ pub(super) fn prepare(
     for scene in items(&mut value, "scenes") {
         scene.entry("nodes").or_insert_with(|| json!([]));
     }
+    // Some writers mean none by 0, which is no stride.
+    for view in items(&mut value, "bufferViews") {
+        if view.get("byteStride").and_then(Value::as_u64) == Some(0) {
+            view.remove("byteStride");
+        }
+    }
+    let mut colored_count = 0;
     for (i, node) in items(&mut value, "nodes").enumerate() {
+        let colors = "/EXT_mesh_gpu_instancing/attributes/_COLOR_0";
+        let is_colored = node.get("extensions").and_then(|e| e.pointer(colors)).is_some();
+        colored_count += u32::from(is_colored);
         read_node(i, node, &mut extras);
+    }
+    if colored_count > 0 {
+        let text = "nodes have instances with colors of their own (_COLOR_0), which are not read";
+        warnings.push(format!("{colored_count} {text}"));
     }
     for (i, material) in items(&mut value, "materials").enumerate() {
         if let Some(factor) = read_transmission(material) {
@@ -162,9 +180,59 @@ fn check_extensions(
             return Err(SceneError::unsupported(path, what, extension_cure(name)));
         }
     }
-    for name in required.union(&names("extensionsUsed")) {
+    // Some writers forget to list what they use.
+    let mut used = names("extensionsUsed");
+    collect_extensions(value, &mut used);
+    for name in required.union(&used) {
         if !EXTENSIONS_READ.contains(&name.as_str()) {
             warnings.push(format!("the gltf extension {name} is not read; {}", effect_of(name)));
+        }
+    }
+    Ok(())
+}
+
+/// Adds the names of all extensions that parts of the document have.
+fn collect_extensions(value: &Value, names: &mut BTreeSet<String>) {
+    match value {
+        Value::Array(values) => values.iter().for_each(|value| collect_extensions(value, names)),
+        Value::Object(map) => {
+            for (key, value) in map {
+                if key == "extras" {
+                    continue;
+                }
+                if let ("extensions", Value::Object(own)) = (key.as_str(), value) {
+                    // Textures whose images are not read are named one by one.
+                    let told =
+                        |name: &&String| !name.contains("_texture_") && !names.contains(*name);
+                    names.extend(own.keys().filter(told).cloned().collect::<Vec<_>>());
+                }
+                collect_extensions(value, names);
+            }
+        }
+        _ => {}
+    }
+}
+
+/// Refuses meshes that are there in compressed form only, where the file does not say that it needs a reader of that.
+fn check_compression(path: &Path, value: &Value) -> Result<(), SceneError> {
+    let list = |name: &str| value.get(name).and_then(Value::as_array).into_iter().flatten();
+    let refuse = |name: &str| {
+        let what = format!("the gltf extension {name} without an uncompressed copy");
+        Err(SceneError::unsupported(path, what, extension_cure(name)))
+    };
+    let draco = "KHR_draco_mesh_compression";
+    let primitives = list("meshes").filter_map(|mesh| mesh.get("primitives")?.as_array()).flatten();
+    for primitive in primitives.filter(|p| p.pointer(&format!("/extensions/{draco}")).is_some()) {
+        let positions = primitive.pointer("/attributes/POSITION").and_then(Value::as_u64);
+        let accessor = positions.and_then(|i| list("accessors").nth(usize::try_from(i).ok()?));
+        if accessor.is_some_and(|a| a.get("bufferView").is_none() && a.get("sparse").is_none()) {
+            return refuse(draco);
+        }
+    }
+    for name in ["EXT_meshopt_compression", "KHR_meshopt_compression"] {
+        let is_copy = |buffer: &&Value| buffer.pointer(&format!("/extensions/{name}")).is_some();
+        if list("buffers").filter(is_copy).any(|buffer| buffer.get("uri").is_none()) {
+            return refuse(name);
         }
     }
     Ok(())

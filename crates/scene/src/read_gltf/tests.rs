@@ -231,6 +231,106 @@ fn files_beside_and_data_uris_are_found() {
     assert!(matches!(crate::read_scene(&path), Err(SceneError::Unsupported { .. })));
 }
 
+/// A triangle whose buffer is beside the file under `name`, if that is given, and called `uri` in it.
+fn read_triangle(uri: &str, name: Option<&str>) -> Result<Scene, SceneError> {
+    let folder = tempfile::tempdir().unwrap();
+    if let Some(name) = name {
+        std::fs::write(folder.path().join(name), floats(&QUAD[..9])).unwrap();
+    }
+    let path = folder.path().join("test.gltf");
+    let json = format!(
+        r#"{{"asset":{{"version":"2.0"}},"buffers":[{{"byteLength":36,"uri":"{uri}"}}],
+        "bufferViews":[{{"buffer":0,"byteLength":36,"byteStride":0}}],"nodes":[{{"mesh":0}}],
+        "accessors":[{{"bufferView":0,"componentType":5126,"type":"VEC3","count":3}}],
+        "meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}}}}]}}]}}"#
+    );
+    std::fs::write(&path, json).unwrap();
+    crate::read_scene(&path)
+}
+
+#[test]
+fn uris_are_read_as_writers_write_them() {
+    for (uri, name) in [
+        ("data:;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA", None),
+        (
+            "DATA:application/gltf-buffer;charset=x;BASE64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA",
+            None,
+        ),
+        ("data:text/plain;base64,AAAAAAAAAAAAAAAAAACAPwAA\\nAAAAAAAAAAAAAAAAgD8AAAAA\\n", None),
+        ("b%C3%BCf%20a.bin", Some("b\u{fc}f a.bin")),
+        ("b\u{fc}f a.bin", Some("b\u{fc}f a.bin")),
+        ("a%20b.bin", Some("a%20b.bin")),
+        ("100%.bin", Some("100%.bin")),
+        ("maps\\\\a.bin", Some("a.bin")),
+    ] {
+        let scene = read_triangle(uri, name).unwrap_or_else(|e| panic!("{uri}: {e}"));
+        assert_eq!(scene.meshes[0].positions, [Vec3::ZERO, Vec3::X, Vec3::Y], "{uri}");
+    }
+}
+
+#[test]
+fn meshes_that_are_compressed_only_are_refused_with_the_cure() {
+    let mut builder = quad();
+    builder.accessors[0] = r#"{"componentType":5126,"type":"VEC3","count":4}"#.into();
+    let draco = r#""indices":1,"extensions":{"KHR_draco_mesh_compression":{"bufferView":0,"attributes":{"POSITION":0}}}"#;
+    let rest = quad_with("", "", "", "").replace("\"indices\":1", draco);
+    let refused = parse(&builder.glb(&rest)).unwrap_err().to_string();
+    assert!(refused.contains("KHR_draco") && refused.contains("gltf-transform copy"), "{refused}");
+    let scene = parse(&quad().glb(&rest)).unwrap();
+    assert!(scene.warnings[0].contains("uncompressed copy"), "{:?}", scene.warnings);
+    let copy = r#""buffers":[{"byteLength":9},{"byteLength":48,"extensions":{"EXT_meshopt_compression":{"fallback":true}}}],"#;
+    let json = format!(r#"{{"asset":{{"version":"2.0"}},{copy}"nodes":[{{}}]}}"#);
+    let refused = parse(json.as_bytes()).unwrap_err().to_string();
+    assert!(
+        refused.contains("EXT_meshopt") && refused.contains("gltf-transform copy"),
+        "{refused}"
+    );
+}
+
+#[test]
+fn what_changes_light_and_is_not_read_is_named_even_where_it_is_not_listed() {
+    let root = r#""materials":[{"normalTexture":{"index":0},"extensions":{"KHR_materials_unlit":{},"KHR_materials_ior":{"ior":1.3}},
+        "extras":{"extensions":{"VENDOR_a":{}}}}],"textures":[{"source":0}],"images":[{"uri":"none.png"}],"#;
+    let warnings = warnings_of(&quad_with("", "", "", root));
+    let [unlit, bumps] = &warnings[..] else { panic!("{warnings:?}") };
+    assert!(
+        unlit.contains("KHR_materials_unlit") && bumps.contains("1 materials have normal maps")
+    );
+    let colors = r#","extensions":{"EXT_mesh_gpu_instancing":{"attributes":{"_COLOR_0":3,"TRANSLATION":0}}}"#;
+    let warnings = warnings_of(&quad_with(colors, "", "", ""));
+    assert!(warnings[0].contains("1 nodes have instances with colors"), "{warnings:?}");
+}
+
+#[test]
+fn meshes_beside_the_scene_are_counted() {
+    let rest = quad_with("", "", "", r#""scene":0,"#).replace(
+        r#""nodes":[{"mesh":0}]"#,
+        r#""nodes":[{"mesh":0},{"mesh":0},{"children":[3]},{"mesh":0}]"#,
+    );
+    let warnings = warnings_of(&rest);
+    assert!(warnings[0].starts_with("2 nodes with meshes are not in the scene"), "{warnings:?}");
+    // What is hidden is told once.
+    let hidden = rest.replace(r#"{"mesh":0},{"mesh":0},"#, r#"{"mesh":0,"extensions":{"KHR_node_visibility":{"visible":false}},"children":[1,2]},{"mesh":0},"#);
+    let warnings = warnings_of(&hidden);
+    assert!(warnings.len() == 1 && warnings[0].starts_with("1 nodes are hidden"), "{warnings:?}");
+}
+
+#[test]
+fn colors_of_integers_are_shares_of_their_range() {
+    let mut builder = quad();
+    builder.accessor(&[51, 0, 255, 255].repeat(4), 5121, "VEC4", 4, "");
+    let scene = parse(&builder.glb(&quad_with("", "", r#","COLOR_0":4"#, ""))).unwrap();
+    assert_eq!(scene.meshes[0].colors[0], [0.2, 0.0, 1.0]);
+}
+
+#[test]
+fn text_that_is_not_utf_8_costs_names_only() {
+    let mut json = br#"{"asset":{"version":"2.0","generator":"caf"#.to_vec();
+    json.push(0xe9);
+    json.extend(br#""},"nodes":[{}]}"#);
+    assert!(parse(&json).is_ok());
+}
+
 #[test]
 fn required_extensions_that_change_shapes_are_refused_by_name_and_cure() {
     for (extension, cure) in [

@@ -6,8 +6,13 @@ use crate::find_file::find_file;
 use crate::resources::{Resources, is_lack_of_memory};
 use crate::{Material, SceneError, Texture, Wrap};
 use image::RgbaImage;
+use pbgi_cloud::parse_number;
+use pbgi_math::Vec2;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
+
+/// Most keywords that are not read and are told apart.
+const KEYWORDS_MAX: usize = 40;
 
 /// Bytes that a line of a library may come to hold: a material, or a warning.
 const LINE_BYTES: usize = size_of::<Draft>() + 64;
@@ -17,6 +22,8 @@ const LINE_BYTES: usize = size_of::<Draft>() + 64;
 #[derive(Default)]
 pub(super) struct Library {
     pub materials: Vec<Material>,
+    /// Where each material's textures lie.
+    pub placements: Vec<Placement>,
     pub textures: Vec<Texture>,
     pub warnings: Vec<String>,
     /// Why the scene cannot be read: what memory there is must not decide what is ignored.
@@ -41,6 +48,39 @@ struct Map {
     clamp: bool,
     /// Of a mask: its alpha is meant, not its brightness.
     matte: bool,
+    placement: Placement,
+}
+
+impl Map {
+    /// The same wherever it lies.
+    fn unplaced(self) -> Self {
+        Self { placement: Placement::default(), ..self }
+    }
+}
+
+/// Factor on texture coordinates, and what is added then: `-s` and `-o`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Placement {
+    scale: [f32; 2],
+    offset: [f32; 2],
+}
+
+impl Default for Placement {
+    fn default() -> Self {
+        Self { scale: [1.0; 2], offset: [0.0; 2] }
+    }
+}
+
+impl Placement {
+    /// Coordinates in the texture, whose second grows downward.
+    pub fn place(&self, uv: Vec2) -> Vec2 {
+        if *self == Self::default() {
+            return uv;
+        }
+        let [u, v] = [uv.x, 1.0 - uv.y];
+        let [u, v] = [u * self.scale[0] + self.offset[0], v * self.scale[1] + self.offset[1]];
+        Vec2::new(u, 1.0 - v)
+    }
 }
 
 /// A material as its lines say it.
@@ -54,6 +94,8 @@ struct Draft {
     color: Option<Map>,
     mask: Option<Map>,
     glow: Option<Map>,
+    /// Whether a texture is given for ambient light.
+    has_ambient_map: bool,
     /// What is not read as its lines say.
     notes: Vec<String>,
 }
@@ -68,9 +110,16 @@ fn effect_of(keyword: &str) -> Option<&'static str> {
         "map_ks" | "map_ns" | "refl" => "gloss is that of the default material",
         "decal" => "no decals are laid over surfaces",
         "tf" => "light that comes through is not colored",
+        "bump" | "map_bump" | "norm" | "map_kn" => "surfaces have the normals of their vertices",
+        "map_tr" => "it makes no holes; name its inverse in map_d",
+        "pc" | "ps" | "aniso" => "surfaces shine as they do without it",
         _ => return None,
     })
 }
+
+/// Keywords that change no light here: gloss of older models, how to render, and what serves those that are not read.
+const SILENT_KEYWORDS: [&str; 12] =
+    ["ka", "ks", "ns", "ni", "illum", "km", "sharpness", "map_aat", "pcr", "anisor", "cr", "ior"];
 
 impl Library {
     /// Adds the libraries that an `mtllib` line of the OBJ file at `obj` names: one name, which may hold spaces, or several.
@@ -119,8 +168,12 @@ impl Library {
             return;
         }
         for (keyword, count) in ignored {
-            let effect = effect_of(&keyword).unwrap_or_default();
-            self.warnings.push(format!("{name}: {keyword} ({count} times) is not read; {effect}"));
+            self.warnings.push(match effect_of(&keyword) {
+                Some(effect) => format!("{name}: {keyword} ({count} times) is not read; {effect}"),
+                None => format!(
+                    "{name}: {count} lines that begin with `{keyword}` are not understood and left out"
+                ),
+            });
         }
         self.settle_inverted(name, &mut drafts);
         for draft in drafts {
@@ -150,10 +203,18 @@ impl Library {
 
     fn finish(&mut self, path: &Path, draft: Draft, resources: &Resources) {
         let Draft { mut material, d, tr, color, mask, glow, .. } = draft;
+        let placements = [&color, &mask, &glow].map(|map| map.as_ref().map(|m| m.placement));
+        let placement = placements.into_iter().flatten().next().unwrap_or_default();
         let opacity = d.unwrap_or_else(|| 1.0 - tr.unwrap_or(0.0));
         let name = material.name.clone();
         let mut warn = |text: String| self.warnings.push(format!("material {name} {text}"));
         draft.notes.into_iter().for_each(&mut warn);
+        if placements.into_iter().flatten().any(|other| other != placement) {
+            warn("places its textures differently by -s and -o; all lie as the first of map_Kd, map_d, map_Ke".into());
+        }
+        if draft.has_ambient_map && color.is_none() {
+            warn("has map_Ka and no map_Kd; a texture of ambient light is not read".into());
+        }
         if d.is_some() && tr.is_some_and(|tr| (opacity < 0.5) != (tr > 0.5)) {
             warn("has both d and Tr, which contradict each other; d decides".into());
         }
@@ -177,11 +238,11 @@ impl Library {
             material.emission = [1.0; 3];
         }
         if color.is_some() || mask.is_some() {
-            let key = TextureKey { color, mask };
+            let key = TextureKey { color: color.map(Map::unplaced), mask: mask.map(Map::unplaced) };
             material.base_color_texture = self.add_texture(path, key, resources);
         }
         if let Some(glow) = glow {
-            let key = TextureKey { color: Some(glow), mask: None };
+            let key = TextureKey { color: Some(glow.unplaced()), mask: None };
             material.emission_texture = self.add_texture(path, key, resources);
             if material.emission_texture.is_none() {
                 material.emission = black;
@@ -194,6 +255,7 @@ impl Library {
             false => (opacity < 0.5).then_some(f32::INFINITY),
         };
         self.materials.push(material);
+        self.placements.push(placement);
     }
 
     /// Index of the texture of `key`; `None`, with a warning, if none of its files can be read.
@@ -276,7 +338,12 @@ fn read_line(
     let material = &mut draft.material;
     match keyword {
         "kd" => {
-            material.base_color = read_color(rest)?.map(|c| c.min(1.0));
+            let color = read_color(rest)?;
+            if color.iter().any(|c| *c > 1.0) {
+                let text = "has a Kd above 1, which is read as 1; shares of light go from 0 to 1";
+                draft.notes.push(text.into());
+            }
+            material.base_color = color.map(|c| c.min(1.0));
             draft.has_kd = true;
         }
         "ke" => {
@@ -301,16 +368,23 @@ fn read_line(
         "map_d" | "map_opacity" => draft.mask = Some(read_map(keyword, rest, &mut draft.notes)?),
         "map_ke" | "map_emissive" => draft.glow = Some(read_map(keyword, rest, &mut draft.notes)?),
         "tf" if read_color(rest).is_ok_and(|c| c == [1.0; 3]) => {}
-        _ if effect_of(keyword).is_some() => *ignored.entry(keyword.to_owned()).or_default() += 1,
+        "map_ka" => draft.has_ambient_map = true,
+        "pc" | "ps" | "aniso"
+            if read_floats(rest, [f32::NAN]).is_ok_and(|[v]: [f32; 1]| v == 0.0) => {}
+        _ if SILENT_KEYWORDS.contains(&keyword) => {}
+        _ if ignored.len() < KEYWORDS_MAX || ignored.contains_key(keyword) => {
+            *ignored.entry(keyword.chars().take(40).collect()).or_default() += 1;
+        }
         _ => {}
     }
     Ok(())
 }
 
-/// Options and file name of a map. Of the options, `-clamp` and `-imfchan` are honored; those that move or color the texture
-/// are not, which goes to `notes`.
+/// Options and file name of a map. Of the options, `-clamp`, `-imfchan`, `-s` and `-o` are honored; turbulence and those that color the
+/// texture are not, which goes to `notes`.
 fn read_map(keyword: &str, text: &str, notes: &mut Vec<String>) -> Result<Map, String> {
-    let mut map = Map { name: String::new(), clamp: false, matte: false };
+    let mut map =
+        Map { name: String::new(), clamp: false, matte: false, placement: Placement::default() };
     let mut rest = text;
     let mut changed = Vec::new();
     while rest.starts_with('-') {
@@ -335,10 +409,9 @@ fn read_map(keyword: &str, text: &str, notes: &mut Vec<String>) -> Result<Map, S
         match (option, values.as_slice()) {
             ("-clamp", ["on"]) => map.clamp = true,
             ("-imfchan", [channel]) => map.matte = *channel == "m",
-            ("-s", values) if values.iter().any(|v| v.parse() != Ok(1.0f32)) => {
-                changed.push(option)
-            }
-            ("-o" | "-t", values) if values.iter().any(|v| v.parse() != Ok(0.0f32)) => {
+            ("-s", values) => map.placement.scale = read_placement(values, 1.0)?,
+            ("-o", values) => map.placement.offset = read_placement(values, 0.0)?,
+            ("-t", values) if values.iter().any(|v| v.parse() != Ok(0.0f32)) => {
                 changed.push(option);
             }
             ("-mm", values) if values.iter().map(|v| v.parse()).ne([Ok(0.0f32), Ok(1.0)]) => {
@@ -358,6 +431,16 @@ fn read_map(keyword: &str, text: &str, notes: &mut Vec<String>) -> Result<Map, S
         ));
     }
     Ok(map)
+}
+
+/// The first two values of `-s` or `-o`.
+fn read_placement(values: &[&str], default: f32) -> Result<[f32; 2], String> {
+    let mut placement = [default; 2];
+    for (place, text) in placement.iter_mut().zip(values) {
+        let value = parse_number(text).map(|value| value as f32).filter(|value| value.is_finite());
+        *place = value.ok_or_else(|| format!("`{text}` is no place of a texture"))?;
+    }
+    Ok(placement)
 }
 
 /// The first word and what follows it.
@@ -435,7 +518,7 @@ mod tests {
         let row = page.lines().find(|line| line.contains("`disp`")).unwrap();
         let named: Vec<String> =
             row.split('`').skip(1).step_by(2).map(str::to_ascii_lowercase).collect();
-        assert_eq!(named.len(), 8);
+        assert_eq!(named.len(), 12);
         for keyword in named {
             assert!(effect_of(&keyword).is_some(), "{keyword}");
         }

@@ -435,6 +435,23 @@ fn columns_keep_their_types_and_meshes_their_faces() {
 }
 
 #[test]
+fn columns_of_lists_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let [input, output] = ["in.ply", "out.ply"].map(|name| folder.path().join(name));
+    let text_of = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n\
+        property float nx\nproperty float ny\nproperty float nz\nproperty list uchar int near\nend_header\n\
+        0 50 0 0 1 0 1 7\n";
+    std::fs::write(&input, text_of).unwrap();
+    let octree = octree();
+    let files = [text(&octree), "--receivers", text(&input), "-o", text(&output)];
+    let all = [&files[..], &["--env-color", "1,1,1", "--strict"]].concat();
+    let run = crate::support::run(&all);
+    let said = String::from_utf8_lossy(&run.stderr);
+    assert_eq!(run.status.code(), Some(3), "{said}");
+    assert!(said.contains("columns of lists do not come back: near"), "{said}");
+}
+
+#[test]
 fn names_that_tell_of_another_format_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let octree = octree();
