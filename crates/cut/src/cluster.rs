@@ -320,7 +320,8 @@ fn see_round(known: &KnownLobe, center: Vec3, half: Vec3, toward_receiver: Vec3)
 }
 
 /// Reduces what sheets show that are not one flat piece to `1 − e^−τ`. A flat lobe is another piece of cloth beside the largest as far as they
-/// cover different cells, and hides as it is.
+/// cover different cells, and hides as it is. So does a board, whose outline is known: which of two boards is before the other, a lamp below a ceiling,
+/// the raster finds by their depths.
 #[inline(always)]
 fn thin_sheets(shown: &mut [Shown], lobes: &[KnownLobe], silhouette: impl Fn() -> f32) {
     let (mut total, mut flat, mut flat_index) = (0.0, 0.0, usize::MAX);
@@ -340,7 +341,7 @@ fn thin_sheets(shown: &mut [Shown], lobes: &[KnownLobe], silhouette: impl Fn() -
     let mut rest = 0.0;
     let largest = shown.get(flat_index).map(|seen| seen.lobe);
     for (index, (seen, loose)) in shown.iter().zip(&mut loose).enumerate() {
-        if !seen.is_sheet || index == flat_index {
+        if !seen.is_sheet || index == flat_index || lobes[seen.lobe].is_board() {
             *loose = 0.0;
         } else if let Some(largest) = largest
             && seen.is_flat

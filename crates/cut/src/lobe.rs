@@ -97,6 +97,12 @@ pub(crate) fn find_shares(lobes: &mut [KnownLobe], bounds: &Aabb) {
 }
 
 impl KnownLobe {
+    /// Whether all of its surfels lie one way, a board or a pane: nothing in it is behind anything else of it.
+    #[inline(always)]
+    pub fn is_board(&self) -> bool {
+        self.is_flat && self.lobe.width == 0.0
+    }
+
     /// A lobe of the node with this box.
     #[must_use]
     #[inline(always)]
@@ -131,7 +137,7 @@ impl KnownLobe {
             known.outline = face * lobe.stencil.share() / normal[axis].abs();
             let shown = lobe.front_area(normal) + lobe.back_area(normal);
             known.depth_per_area = -(1.0 - lobe.fill.min(LOOSE_FILL_MAX)).ln() / shown;
-        } else if !lobe.blocks_back && lobe.fill < SHEET_WHOLE {
+        } else if !lobe.blocks_back && lobe.fill < SHEET_WHOLE && !known.is_board() {
             known.covered = (share * central_section_area(half, normal) / length).min(1.0);
         }
         known

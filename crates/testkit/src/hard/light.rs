@@ -7,7 +7,7 @@ use super::{
     largest_relative, refused, worse,
 };
 use crate::scenes::{SurfelForm, closed_room};
-use pbgi_cloud::Surfel;
+use pbgi_cloud::{Surfel, SurfelFlags};
 use pbgi_math::{DVec3, Vec3};
 use std::f64::consts::PI;
 
@@ -21,7 +21,7 @@ const TEXEL: &str = "the texel's light is moved to a raster of 1/16, in which a 
 /// The sky's width.
 const WIDTH: usize = 64;
 
-pub(super) const CASES: [HardCase; 20] = [
+pub(super) const CASES: [HardCase; 22] = [
     HardCase {
         name: "hidden-1e15",
         about: "a wall of radiance 1, and behind it a surfel of 10¹⁵ that no receiver sees; irradiance of the wall, relative",
@@ -48,6 +48,25 @@ pub(super) const CASES: [HardCase; 20] = [
         why: ROUNDED,
         limit: None,
         measure: |engine| bright_behind_wall(engine, 1e8),
+    },
+    HardCase {
+        name: "lamp-below-ceiling",
+        about: "a lamp a quarter as wide as a black ceiling and a hundredth of it below, both of two sides; irradiance of the floor, relative",
+        promise: 0.02,
+        why: ROUNDED,
+        limit: None,
+        measure: |engine| lamp_below_ceiling(engine, Vec3::Y, Vec3::X),
+    },
+    HardCase {
+        name: "lamp-below-slanted-ceiling",
+        about: "`lamp-below-ceiling`, all of it turned",
+        promise: 0.02,
+        why: ROUNDED,
+        limit: None,
+        measure: |engine| {
+            let up = Vec3::new(0.3, 0.9, -0.2).normalize();
+            lamp_below_ceiling(engine, up, up.cross(Vec3::new(0.5, 0.1, 0.8)).normalize())
+        },
     },
     HardCase {
         name: "one-of-1600",
@@ -261,6 +280,26 @@ fn dim_room(engine: &mut dyn Engine) -> Result<f64, Refusal> {
     let at = |place: Vec3| CaseReceiver::diffuse(place.as_dvec3(), Vec3::ONE);
     let found = engine.shade(&CaseScene::new(room, places.map(at).to_vec()))?;
     Ok(largest_relative(found.iter().map(|f| (f.surfaces, PI * f64::from(1e-30f32)))))
+}
+
+/// Of a lamp below a ceiling at the height 2, above receivers on the ground of this normal.
+fn lamp_below_ceiling(engine: &mut dyn Engine, up: Vec3, along: Vec3) -> Result<f64, Refusal> {
+    let across = up.cross(along);
+    let mut surfels = Vec::new();
+    for (height, half, count, radiance) in [(2.0, 1.0, 200, 0.0), (1.98, 0.25, 50, 1.0)] {
+        for (normal, radiance) in [(-up, radiance), (up, 0.0)] {
+            let side = sheet(up * height, normal, along, [half; 2], [count; 2], radiance);
+            surfels.extend(side.map(|tile| tile.with_flags(SurfelFlags::FRONT_ONLY)));
+        }
+    }
+    let places = [[0.0, 0.0], [0.9, 0.3], [-0.4, 0.7], [-1.5, -1.1]];
+    let place = |[x, y]: [f32; 2]| (along * x + across * y).as_dvec3();
+    let receivers = places.map(|at| CaseReceiver::diffuse(place(at), up)).to_vec();
+    let found = engine.shade(&CaseScene::new(surfels, receivers))?;
+    let [u, v] = [along, across].map(|edge| edge.as_dvec3() * 0.25);
+    let lamp = rectangle(up.as_dvec3() * 1.98, u, v);
+    let right = places.map(|at| PI * polygon_share(&lamp, place(at), up.as_dvec3()));
+    Ok(largest_relative(found.iter().map(|f| f.surfaces).zip(right)))
 }
 
 fn grazing_lamp(engine: &mut dyn Engine) -> Result<f64, Refusal> {
