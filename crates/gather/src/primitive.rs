@@ -137,10 +137,13 @@ fn side(seen: &SurfelSeen<'_>) -> u8 {
     u8::from(seen.surfel.normal.dot(seen.center) > 0.0)
 }
 
-/// The ground of what stands on the receiver's surface: a rim bridges what codes move two outlines apart, and the ground is where it should be.
+/// The ground of what stands on the receiver's surface. A rim bridges what codes move two outlines along their planes; one of them, and the ground is where
+/// it should be, changes the height of an edge by half of that times the sine of the angle between the planes.
 #[inline(always)]
 fn ground(seen: &SurfelSeen<'_>, plane: Vec3, rim: f32) -> Vec3 {
-    plane * (2.0 / (rim * seen.surfel.radius))
+    let tilt = seen.surfel.normal.dot(plane);
+    let sine = (1.0 - tilt * tilt).max(1e-6).sqrt();
+    plane * (2.0 / (rim * seen.surfel.radius * sine))
 }
 
 /// The triangle that a surfel with these corners around its center is drawn as.
