@@ -56,7 +56,7 @@ pub(crate) fn is_own_surface(surfel: &CutSurfel, center: Vec3, receiver: &CutRec
         // What looks another way is no neighbor on a curved surface: it hides if it rises by more than rounding explains, its own and that of a
         // receiver that was such a surfel itself.
         let is_alike = surfel.normal.dot(plane) > 0.0;
-        let rounding = 2.0 * surfel.rounding;
+        let rounding = 2.0 * surfel.rounding + surfel.outline_error(plane);
         let bound = if is_alike { rounding.max(ALIKE_BIAS * surfel.radius) } else { rounding };
         return height + reach_along(surfel, plane) <= bound;
     }

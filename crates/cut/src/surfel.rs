@@ -57,6 +57,20 @@ pub const TRIANGLE_RIM: f32 = 0.06;
 const NORMAL_ERROR: f32 = 1.25e-3;
 
 impl CutSurfel {
+    /// How far codes may move an edge of a rectangle or triangle over a plane through its end: along its own plane by half a rim, times the sine of
+    /// the angle between the planes.
+    #[must_use]
+    #[inline(always)]
+    pub fn outline_error(&self, plane: Vec3) -> f32 {
+        let rim = match self.shape {
+            SurfelShape::Rectangle { .. } => RECTANGLE_RIM,
+            SurfelShape::Triangle { .. } => TRIANGLE_RIM,
+            SurfelShape::Disk => return 0.0,
+        };
+        let tilt = self.normal.dot(plane);
+        0.5 * rim * self.radius * (1.0 - tilt * tilt).max(0.0).sqrt()
+    }
+
     /// A leaf's surfel, whose center the codes may have moved so far along its normal.
     #[must_use]
     #[inline(always)]

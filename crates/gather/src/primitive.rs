@@ -101,7 +101,7 @@ pub(crate) fn draw_surfel<P: SurfelPen>(seen: &SurfelSeen<'_>, plane: Vec3, pen:
         SurfelShape::Rectangle { edges, half } => {
             let inverse = normal * (1.0 / normal.dot(center));
             let reach = half.map(|half| half * (1.0 + RECTANGLE_RIM));
-            let (edges, half, ground) = (*edges, *half, ground(seen, plane, RECTANGLE_RIM));
+            let (edges, half, ground) = (*edges, *half, ground(seen, plane));
             let tile = Tile { inverse, center, edges, half, reach, ground, side: side(seen) };
             pen.draw(seen, &tile, &Outline { normal, opacity, extent: half[0] });
         }
@@ -137,13 +137,10 @@ fn side(seen: &SurfelSeen<'_>) -> u8 {
     u8::from(seen.surfel.normal.dot(seen.center) > 0.0)
 }
 
-/// The ground of what stands on the receiver's surface. A rim bridges what codes move two outlines along their planes; one of them, and the ground is where
-/// it should be, changes the height of an edge by half of that times the sine of the angle between the planes.
+/// The ground of what stands on the receiver's surface. A rim bridges the errors of two outlines; the ground is where it should be.
 #[inline(always)]
-fn ground(seen: &SurfelSeen<'_>, plane: Vec3, rim: f32) -> Vec3 {
-    let tilt = seen.surfel.normal.dot(plane);
-    let sine = (1.0 - tilt * tilt).max(1e-6).sqrt();
-    plane * (2.0 / (rim * seen.surfel.radius * sine))
+fn ground(seen: &SurfelSeen<'_>, plane: Vec3) -> Vec3 {
+    plane * (1.0 / seen.surfel.outline_error(plane).max(f32::MIN_POSITIVE))
 }
 
 /// The triangle that a surfel with these corners around its center is drawn as.
@@ -151,7 +148,7 @@ fn ground(seen: &SurfelSeen<'_>, plane: Vec3, rim: f32) -> Vec3 {
 fn surfel_triangle(seen: &SurfelSeen<'_>, corners: &[Vec3; 3], plane: Vec3) -> Triangle {
     let (normal, center) = (seen.surfel.normal, seen.center);
     let inverse = normal * (1.0 / normal.dot(center));
-    let (corners, ground) = (corners.map(|c| center + c), ground(seen, plane, TRIANGLE_RIM));
+    let (corners, ground) = (corners.map(|c| center + c), ground(seen, plane));
     Triangle::new(inverse, corners, TRIANGLE_RIM, ground, side(seen))
 }
 
