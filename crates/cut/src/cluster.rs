@@ -442,13 +442,13 @@ mod tests {
         assert_eq!(cluster.pieces()[0].stencil, Stencil::FULL);
     }
 
-    /// Cloth over the box 0 ..= 1: two sheets, the larger first, with these normals and stencils, as seen from below.
-    fn see_cloth(normals: [Vec3; 2], stencils: [u64; 2]) -> Vec<f32> {
+    /// Cloth over the box 0 ..= 1: two sheets, the larger first, with these normals and stencils and a width, as seen from below.
+    fn see_cloth(normals: [Vec3; 2], stencils: [u64; 2], width: f32) -> Vec<f32> {
         let bounds = Aabb { min: Vec3::ZERO, max: Vec3::ONE };
         let sheet = |(k, normal): (usize, Vec3)| {
             let stencil = Stencil(stencils[k]);
             let vector = normal.normalize() * if k == 0 { 0.6 } else { 0.3 };
-            let lobe = Lobe { vector, fill: 0.9, stencil, ..Lobe::default() };
+            let lobe = Lobe { vector, width, fill: 0.9, stencil, ..Lobe::default() };
             KnownLobe::new(&lobe, &bounds)
         };
         let mut lobes: Vec<KnownLobe> = normals.into_iter().enumerate().map(sheet).collect();
@@ -465,15 +465,17 @@ mod tests {
         let (left, right) = (0x0f0f_0f0f_0f0f_0f0f, 0xf0f0_f0f0_f0f0_f0f0);
         let down = Vec3::NEG_Y;
         // Beside each other both are closed, above each other the smaller one hides itself in part.
-        assert_eq!(see_cloth([down, down], [left, right]), [1.0, 1.0]);
-        let above = see_cloth([down, down], [left, left]);
+        assert_eq!(see_cloth([down, down], [left, right], 0.02), [1.0, 1.0]);
+        let above = see_cloth([down, down], [left, left], 0.02);
         assert!(above[0] > 0.3 && above[0] < 0.8 && above[1] == 1.0, "{above:?}");
+        // Boards, all of whose surfels lie one way, hide nothing of themselves: a lamp below a ceiling.
+        assert_eq!(see_cloth([down, down], [left, left], 0.0), [1.0, 1.0]);
         // A plane half way up, in the box around a slanted one or beside it, which has its cells along y and z.
         let slanted = Vec3::new(1.0, -1.0, 0.0);
-        let within = see_cloth([slanted, down], [u64::MAX, u64::MAX]);
+        let within = see_cloth([slanted, down], [u64::MAX, u64::MAX], 0.02);
         assert!(within[0] > 0.3 && within[0] < 0.8 && within[1] == 1.0, "{within:?}");
         let upper = 0xe0e0_e0e0_e0e0_e0e0;
-        assert_eq!(see_cloth([slanted, down], [upper, u64::MAX]), [1.0, 1.0]);
+        assert_eq!(see_cloth([slanted, down], [upper, u64::MAX], 0.02), [1.0, 1.0]);
     }
 
     /// Loose lobes of the box 0 ..= 1, of these normals, each of this area and width.
