@@ -10,7 +10,7 @@ use pbgi_math::{CubeFace, STENCIL_EDGE, Stencil, Vec3};
 pub trait Shape: Copy {
     /// The plane: its unit normal over its signed distance from the receiver.
     fn inverse(&self) -> Vec3;
-    /// Which of its sides it turns to the receiver: 0 or 1, as of [`Rims`]; without rims either.
+    /// Which of its sides it turns to the receiver: 0 for its front, 1 for its back; either without a rim.
     fn side(&self) -> usize {
         0
     }
