@@ -1,6 +1,7 @@
 //! LiDAR clouds in LAS and LAZ files.
 
 use crate::las_decoder::LasDecoder;
+use crate::las_results::DIMENSION_BYTES;
 use crate::record::{Defect, Record, srgb_to_linear};
 use crate::robust::PlaceSample;
 use crate::source::CHUNK_SURFELS;
@@ -218,11 +219,11 @@ fn is_withheld(record: &[u8], is_extended: bool) -> bool {
     record.get(15).is_some_and(|flags| flags & mask != 0)
 }
 
-/// Names of the extra bytes that a header describes, in records of 192 bytes (LAS 1.4, section 2.6).
+/// Names of the extra bytes that a header describes (LAS 1.4, section 2.6).
 fn extra_names(header: &Header) -> Vec<String> {
     let described =
         header.vlrs().iter().filter(|vlr| vlr.user_id == "LASF_Spec" && vlr.record_id == 4);
-    let records = described.flat_map(|vlr| vlr.data.chunks_exact(192));
+    let records = described.flat_map(|vlr| vlr.data.chunks_exact(DIMENSION_BYTES));
     let name = |record: &[u8]| {
         let bytes = record[4..36].split(|byte| *byte == 0).next().unwrap_or_default();
         String::from_utf8_lossy(bytes).trim().to_owned()

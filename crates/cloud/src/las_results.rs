@@ -20,7 +20,7 @@ const CHUNK_POINTS: u64 = 4096;
 /// Bytes of points decoded at once, at most.
 const CHUNK_BYTES: usize = 4 << 20;
 /// Bytes of the description of an extra dimension.
-const DIMENSION_BYTES: usize = 192;
+pub(crate) const DIMENSION_BYTES: usize = 192;
 /// Bytes before the data of a record, and of an extended one behind the points.
 const RECORD_HEAD_BYTES: usize = 54;
 const EXTENDED_HEAD_BYTES: usize = 60;

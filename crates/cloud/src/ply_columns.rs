@@ -98,6 +98,18 @@ impl PlyElement {
         Column::find_triple(self, &COLOR_NAMES).map(|columns| columns.map(|c| c.index))
     }
 
+    /// The column of alpha, and its value where something is opaque.
+    #[must_use]
+    pub fn alpha(&self) -> Option<(usize, f64)> {
+        let column = Column::find(self, "alpha")?;
+        let opaque = match column.ty {
+            PlyType::F32 | PlyType::F64 => 1.0,
+            PlyType::U16 => 65_535.0,
+            _ => 255.0,
+        };
+        Some((column.index, opaque))
+    }
+
     /// What columns would change light or sizes and are not read, one sentence each; `has_sizes` where points have none.
     #[must_use]
     pub fn describe_unread(&self, has_sizes: bool) -> Vec<String> {
@@ -195,17 +207,6 @@ impl PlyColumns {
         }
         let are_codes = triple(&COLOR_NAMES[..1]).is_none();
         Ok(Self { columns, are_codes, srgb8: Box::new(srgb8_table()) })
-    }
-
-    /// The column of alpha, and its value where a point is opaque.
-    pub fn alpha(element: &PlyElement) -> Option<(usize, f64)> {
-        let column = Column::find(element, "alpha")?;
-        let opaque = match column.ty {
-            PlyType::F32 | PlyType::F64 => 1.0,
-            PlyType::U16 => 65_535.0,
-            _ => 255.0,
-        };
-        Some((column.index, opaque))
     }
 
     /// Whether colors are floats that may be codes all the same.

@@ -127,7 +127,7 @@ impl PlyPoints {
         let mut warnings: Vec<String> = splat_warning(path, element).into_iter().collect();
         let unread = element.describe_unread(false);
         warnings.extend(unread.iter().map(|text| format!("{}: {text}", path.display())));
-        let alpha = PlyColumns::alpha(element);
+        let alpha = element.alpha();
         Ok(Self {
             reader,
             path: path.to_owned(),

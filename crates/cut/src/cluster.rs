@@ -1,9 +1,10 @@
 //! What a node shows to a receiver.
 
 use crate::lobe::{KnownLobe, thick_half};
-use pbgi_format::LOBES_MAX;
+use pbgi_format::{LOBES_MAX, Lobe};
 use pbgi_math::{
-    Stencil, Vec3, box_silhouette, central_section_area, patch_solid_angle_factor, stencil_axis,
+    Stencil, Vec3, box_silhouette, central_section_area, patch_solid_angle_factor, scramble,
+    stencil_axis,
 };
 
 /// A piece of a plane that stands for one lobe of a node.
@@ -56,10 +57,7 @@ const SHEET_CLOSED: f32 = 0.8;
 /// the lobe of one node has the veil of the next page's.
 #[inline(always)]
 fn loose_seed(node: u32, lobe: usize) -> u32 {
-    let mut x = node.wrapping_add((lobe as u32).wrapping_mul(0x9e37_79b9));
-    x = (x ^ x >> 16).wrapping_mul(0x7feb_352d);
-    x = (x ^ x >> 15).wrapping_mul(0x846c_a68b);
-    x ^ x >> 16
+    scramble(node.wrapping_add((lobe as u32).wrapping_mul(0x9e37_79b9)))
 }
 
 /// A lobe as the receiver sees it.
@@ -78,6 +76,15 @@ struct Shown {
     is_front: bool,
     /// Its area is that of both sides that block.
     is_loose: bool,
+}
+
+impl Shown {
+    /// What does not depend on where it is seen from.
+    #[inline(always)]
+    fn of(lobe: &Lobe) -> Self {
+        let is_sheet = !lobe.blocks_back && !lobe.is_loose;
+        Self { is_sheet, is_loose: lobe.is_loose, ..Self::default() }
+    }
 }
 
 impl Cluster {
@@ -253,40 +260,25 @@ fn see_flat(known: &KnownLobe, point: Vec3) -> Option<Shown> {
     }
     let piece = Piece {
         inverse: normal * (1.0 / height),
-        is_round: false,
-        start: 0.0,
-        end: 0.0,
         solid_angle,
         cosine: height.abs() * inverse_distance,
         radiance: if is_front { lobe.radiance } else { [0.0; 3] },
         stencil: lobe.stencil,
         axis,
-        seed: 0,
+        ..Piece::default()
     };
     if lobe.is_loose {
         area = front + back;
     }
-    let (opacity, is_loose) = (lobe.fill, lobe.is_loose);
-    let is_sheet = !lobe.blocks_back && !is_loose;
-    Some(Shown {
-        piece,
-        lobe: 0,
-        distance2,
-        opacity,
-        area,
-        is_sheet,
-        is_flat: true,
-        is_front,
-        is_loose,
-    })
+    let opacity = lobe.fill;
+    Some(Shown { piece, distance2, opacity, area, is_flat: true, is_front, ..Shown::of(lobe) })
 }
 
 /// What a round lobe shows, a section through the middle of its box that faces the receiver, or none where it shows nothing that blocks.
 #[inline(always)]
 fn see_round(known: &KnownLobe, center: Vec3, half: Vec3, toward_receiver: Vec3) -> Option<Shown> {
     let ([front, back], distance2, inverse_distance) = sides(known, center);
-    let is_loose = known.lobe.is_loose;
-    let area = if is_loose { front + back } else { front.max(back) };
+    let area = if known.lobe.is_loose { front + back } else { front.max(back) };
     let is_front = front > 0.0;
     if !(area > 0.0) {
         return None;
@@ -295,28 +287,14 @@ fn see_round(known: &KnownLobe, center: Vec3, half: Vec3, toward_receiver: Vec3)
     let piece = Piece {
         inverse: toward_receiver * -inverse_distance,
         is_round: true,
-        start: 0.0,
-        end: 0.0,
         solid_angle: if is_front { front } else { back } / distance2,
         cosine: 1.0,
         radiance: if is_front { lobe.radiance } else { [0.0; 3] },
         stencil: Stencil::FULL,
-        axis: 0,
-        seed: 0,
+        ..Piece::default()
     };
     let opacity = (area / central_section_area(half, toward_receiver)).min(1.0);
-    let is_sheet = !lobe.blocks_back && !is_loose;
-    Some(Shown {
-        piece,
-        lobe: 0,
-        distance2,
-        opacity,
-        area,
-        is_sheet,
-        is_flat: false,
-        is_front,
-        is_loose,
-    })
+    Some(Shown { piece, distance2, opacity, area, is_front, ..Shown::of(lobe) })
 }
 
 /// Reduces what sheets show that are not one flat piece to `1 − e^−τ`. A flat lobe is another piece of cloth beside the largest as far as they
@@ -366,7 +344,7 @@ fn thin_sheets(shown: &mut [Shown], lobes: &[KnownLobe], silhouette: impl Fn() -
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pbgi_format::{Channels, Lobe, MiniFloat, SurfelLayout};
+    use pbgi_format::{Channels, MiniFloat, SurfelLayout};
     use pbgi_math::Aabb;
 
     /// Floor and wall of a node, as the receiver sees them.

@@ -49,6 +49,17 @@ pub fn smaller(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
+/// Scrambles all bits of a number: a bijection whose every output bit depends on every input bit.
+#[must_use]
+#[inline(always)]
+pub fn scramble(mut x: u32) -> u32 {
+    x ^= x >> 16;
+    x = x.wrapping_mul(0x7feb_352d);
+    x ^= x >> 15;
+    x = x.wrapping_mul(0x846c_a68b);
+    x ^ (x >> 16)
+}
+
 /// Relative luminance of linear Rec. 709 RGB.
 #[must_use]
 #[inline]

@@ -1,6 +1,7 @@
 //! Where the samples of a texel lie, and which of them a partly transparent piece covers.
 
 use crate::lanes::SAMPLES;
+use pbgi_math::scramble;
 
 /// Place of sample `index` in its texel, 0..1 along u and v.
 ///
@@ -129,22 +130,12 @@ impl Veil {
     /// The samples covered in texel `index`. On average over texels they are exactly the share.
     #[inline(always)]
     pub(crate) fn samples(&self, index: usize) -> u16 {
-        let hash = mix(self.seed ^ (index as u32).wrapping_mul(0x9e37_79b9));
+        let hash = scramble(self.seed ^ (index as u32).wrapping_mul(0x9e37_79b9));
         let round = (hash >> 8) as f32 * (1.0 / (1 << 24) as f32);
         let count = |share: f32| ((share * SAMPLES as f32 + round) as usize).min(SAMPLES);
         let runs = &RUNS[(hash & 15) as usize];
         runs[count(self.end)] & !runs[count(self.start)]
     }
-}
-
-/// Scrambles all bits of a number: a bijection whose every output bit depends on every input bit.
-#[inline(always)]
-fn mix(mut x: u32) -> u32 {
-    x ^= x >> 16;
-    x = x.wrapping_mul(0x7feb_352d);
-    x ^= x >> 15;
-    x = x.wrapping_mul(0x846c_a68b);
-    x ^ (x >> 16)
 }
 
 #[cfg(test)]

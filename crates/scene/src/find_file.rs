@@ -6,18 +6,27 @@ use std::path::{Path, PathBuf};
 const ENTRIES_MAX: usize = 100_000;
 
 /// The file called `name` beside the file `from`. Where there is none of exactly that name: with slashes for backslashes, in upper or
-/// lower case, or by its last part alone, for paths of the machine that wrote it, and all that without a comment behind it. A device or pipe of the exact name is returned for readers
-/// to refuse as such. `None` if all fail.
+/// lower case, or by its last part alone, for paths of the machine that wrote it, and all that without a comment behind it. A device or
+/// pipe of the exact name is returned for readers to refuse as such. `None` if all fail.
 pub(crate) fn find_file(from: &Path, name: &str) -> Option<PathBuf> {
-    find_named(from, name).or_else(|| {
-        let end = name.find(" #").or_else(|| name.find("\t#"))?;
-        find_named(from, &name[..end])
-    })
+    let plain = plain_name(name);
+    let has_comment = plain != without_quotes(name);
+    find_named(from, name).or_else(|| if has_comment { find_named(from, plain) } else { None })
+}
+
+/// A name without quotes and without a comment behind it.
+pub(crate) fn plain_name(name: &str) -> &str {
+    let end = name.find(" #").or_else(|| name.find("\t#")).unwrap_or(name.len());
+    without_quotes(&name[..end])
+}
+
+fn without_quotes(name: &str) -> &str {
+    name.trim().trim_matches('"').trim()
 }
 
 fn find_named(from: &Path, name: &str) -> Option<PathBuf> {
     let folder = from.parent().unwrap_or(Path::new(""));
-    let name = name.trim().trim_matches('"').trim();
+    let name = without_quotes(name);
     let turned = name.replace('\\', "/");
     let last = turned.rsplit('/').next().unwrap_or_default();
     if last.is_empty() {

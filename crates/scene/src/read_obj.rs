@@ -2,6 +2,7 @@
 
 mod mtl;
 
+use crate::find_file::plain_name;
 use crate::origin::Places;
 use crate::polygon::Triangulator;
 use crate::resources::Resources;
@@ -493,12 +494,6 @@ impl Part {
             ..Mesh::default()
         }
     }
-}
-
-/// A name without quotes and without a comment behind it.
-fn plain_name(name: &str) -> &str {
-    let end = name.find(" #").or_else(|| name.find("\t#")).unwrap_or(name.len());
-    name[..end].trim().trim_matches('"').trim()
 }
 
 /// The first `N` numbers of a line up to a comment, all finite; `defaults` that are numbers may be missing.

@@ -135,7 +135,8 @@ struct VertexColumns {
     color: Option<[usize; 3]>,
     /// Type of the color values.
     color_type: PlyType,
-    alpha: Option<usize>,
+    /// Where alpha is, and what it is where a surface is opaque.
+    alpha: Option<(usize, f64)>,
 }
 
 impl VertexColumns {
@@ -151,17 +152,8 @@ impl VertexColumns {
             Some(PlyKind::Scalar(scalar)) => scalar,
             _ => PlyType::F32,
         };
-        let alpha = element.property("alpha");
+        let alpha = element.alpha();
         Ok(Self { position, normal: element.normals(), color, color_type, alpha })
-    }
-}
-
-/// Alpha of what is opaque.
-fn largest_alpha(element: &PlyElement, column: usize) -> f64 {
-    match element.properties.get(column).map(|p| p.kind) {
-        Some(PlyKind::Scalar(PlyType::F32 | PlyType::F64)) => 1.0,
-        Some(PlyKind::Scalar(PlyType::U16)) => 65_535.0,
-        _ => 255.0,
     }
 }
 
@@ -193,14 +185,14 @@ impl PlyMesh {
         }
         let mesh = &mut self.mesh;
         let mut row = PlyRow::default();
-        let opaque = columns.alpha.map_or(1.0, |i| largest_alpha(element, i));
         let (mut places, mut clear_count) = (Places::default(), 0u64);
         while reader.read_row(&mut row).map_err(|e| from_cloud_error(path, e))? {
             let vector = |c: [usize; 3]| Vec3::from_array(c.map(|i| row.scalar(i) as f32));
             let position = DVec3::from_array(columns.position.map(|i| row.scalar(i)));
             self.has_bad_positions |= !position.as_vec3().is_finite();
             places.push(position);
-            clear_count += u64::from(columns.alpha.is_some_and(|i| row.scalar(i) < 0.5 * opaque));
+            let is_clear = columns.alpha.is_some_and(|(i, opaque)| row.scalar(i) < 0.5 * opaque);
+            clear_count += u64::from(is_clear);
             mesh.normals.extend(columns.normal.map(vector));
             let linear = |i: usize| linear_color(row.scalar(i), columns.color_type);
             let color = columns.color.map(|c| c.map(linear));
