@@ -13,8 +13,8 @@
 use crate::lamps::Lamps;
 use pbgi_brdf::GgxLobe;
 use pbgi_cut::{NodeSeen, Threshold};
-use pbgi_light::EnvironmentPyramid;
-use pbgi_math::{Vec3, luminance};
+use pbgi_light::{EnvironmentPyramid, Variation};
+use pbgi_math::Vec3;
 use std::f32::consts::PI;
 use std::fmt;
 use std::str::FromStr;
@@ -129,6 +129,10 @@ const BRIGHT_FACTOR_MIN: f32 = 0.01;
 /// Largest factor of what is dark.
 const DARK_FACTOR_MAX: f32 = 4.0;
 
+/// [`Variation::gain`] of a sky from which on nodes are weighed by it. Weighing takes a fifth of a gather: in the street, skies of 1.33 and 1.34 cost as
+/// much at the same error with it as without, one of 1.7 a fifth less.
+const GAIN_MIN: f32 = 1.5;
+
 /// How much light is at stake in a direction: what a node shines, or what of the sky it hides.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Stakes<'a> {
@@ -146,14 +150,14 @@ pub(crate) struct Stakes<'a> {
 impl<'a> Stakes<'a> {
     /// For surfaces of this mean brightness under an environment.
     pub fn new(terms: ImportanceTerms, surfaces: f32, sky: Option<&'a EnvironmentPyramid>) -> Self {
-        let sky_mean = sky.map_or(0.0, |sky| luminance(sky.radiance(Vec3::Y, 4.0 * PI)));
-        let usual = surfaces.max(sky_mean);
+        let variation = sky.map_or(Variation::default(), EnvironmentPyramid::variation);
+        let usual = surfaces.max(variation.usual);
         Self {
             inverse: if usual > 0.0 { 1.0 / usual } else { 0.0 },
             usual,
             surfaces: (!terms.radiance).then_some(surfaces),
-            sky: sky.filter(|_| terms.env),
-            sky_mean,
+            sky: sky.filter(|_| terms.env && variation.gain >= GAIN_MIN),
+            sky_mean: variation.mean,
         }
     }
 

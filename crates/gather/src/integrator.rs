@@ -61,7 +61,7 @@ pub struct GatherSettings {
 impl Default for GatherSettings {
     fn default() -> Self {
         Self {
-            solid_angle_sr: 0.05,
+            solid_angle_sr: 0.04,
             importance: ImportanceTerms::ALL,
             raster_edge: 16,
             lobe_level: 3,
@@ -451,7 +451,7 @@ impl WideKernel for PeakKernel<'_, '_> {
         window_raster.clear(&peak.window);
         let user_sr = settings.solid_angle_sr;
         let threshold = if settings.importance.env {
-            let sine = 0.5 * WINDOW_TEXEL_SHARE * peak.texel_width;
+            let sine = 0.5 * WINDOW_TEXEL_SHARE * peak.texel_width * peak.relief;
             UniformThreshold::from_sine(sine.min(sphere_sin2_for_solid_angle(user_sr).sqrt()))
         } else {
             uniform(user_sr)

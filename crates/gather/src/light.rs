@@ -1,9 +1,10 @@
 //! The environment in the shape the gather reads it.
 
 use pbgi_brdf::EnvironmentTexels;
-use pbgi_light::{Environment, EnvironmentPyramid};
+use pbgi_light::{Environment, EnvironmentPeak, EnvironmentPyramid};
 use pbgi_math::Vec3;
 use pbgi_raster::{CubeRasterTable, Window};
+use std::f32::consts::PI;
 
 /// A peak of the environment: the window its visibility is resolved in, and its light per texel.
 #[derive(Clone, Debug)]
@@ -15,6 +16,11 @@ pub(crate) struct PreparedPeak {
     pub texels: Vec<(Vec3, [f32; 3])>,
     /// Half-angle's sine of the cone around the window's axis that holds the window.
     pub sin_half_angle: f32,
+    /// How many times as wide what is drawn in its window may be as in that of a sun which is all the light there is.
+    ///
+    /// The error of its light is as its share *f* of all flux times the width *w* of what is drawn, and what is drawn as 1/*w*: the same error as that
+    /// of the only sun costs least where *w* is *f*^(−2/3) / √Σ*f*^(2/3), summed over all peaks.
+    pub relief: f32,
 }
 
 /// An environment prepared for one raster resolution.
@@ -48,6 +54,12 @@ impl PreparedLight {
 
     fn with_detail(environment: &Environment, n: usize, edge_max: usize) -> Self {
         let table = CubeRasterTable::new(n);
+        let pyramid = EnvironmentPyramid::new(environment, edge_max);
+        let flux = |peak: &EnvironmentPeak| peak.flux().into_iter().fold(0.0, f32::max);
+        let all: f32 = environment.peaks().iter().map(flux).sum();
+        let all = all + 4.0 * PI * pyramid.variation().mean;
+        let sum: f32 =
+            environment.peaks().iter().map(|peak| (flux(peak) / all).cbrt().powi(2)).sum();
         let peaks = environment.peaks().iter().map(|peak| {
             let texels = (0..peak.n * peak.n).map(|i| {
                 let (row, column) = (i / peak.n, i % peak.n);
@@ -60,12 +72,47 @@ impl PreparedLight {
                 texel_width: 2.0 * peak.half_width / peak.n as f32,
                 texels: texels.collect(),
                 sin_half_angle: half_diagonal / (1.0 + half_diagonal * half_diagonal).sqrt(),
+                relief: 1.0 / ((flux(peak) / all).cbrt().powi(2) * sum.sqrt()),
             }
         });
         Self {
             base: EnvironmentTexels::new(&table, &environment.base_texels(n)),
             peaks: peaks.collect(),
-            pyramid: EnvironmentPyramid::new(environment, edge_max),
+            pyramid,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pbgi_light::{EnvironmentOptions, SkyParameters, synthetic_sky};
+
+    /// Windows of an environment of suns of these irradiances, far from each other, and nothing else.
+    fn reliefs(suns: &[f32]) -> Vec<f32> {
+        let mut image = synthetic_sky(256, 128, &SkyParameters::default());
+        image.pixels.fill([0.0; 3]);
+        for (index, sun) in suns.iter().enumerate() {
+            image.pixels[64 * 256 + 16 + 40 * index] = [*sun; 3];
+        }
+        let environment = Environment::from_image(image, EnvironmentOptions::default()).unwrap();
+        PreparedLight::new(&environment, 8).peaks.iter().map(|peak| peak.relief).collect()
+    }
+
+    #[test]
+    fn windows_share_the_error_of_a_single_sun() {
+        let one = reliefs(&[100.0]);
+        assert!(one.len() == 1 && (one[0] - 1.0).abs() < 1e-3, "{one:?}");
+        for suns in [&[50.0, 50.0][..], &[90.0, 10.0], &[5.0, 30.0, 60.0, 5.0]] {
+            let mut reliefs = reliefs(suns);
+            reliefs.sort_by(f32::total_cmp);
+            let mut shares: Vec<f32> =
+                suns.iter().map(|sun| sun / suns.iter().sum::<f32>()).collect();
+            shares.sort_by(|a, b| b.total_cmp(a));
+            let error2: f32 = shares.iter().zip(&reliefs).map(|(f, w)| (f * w).powi(2)).sum();
+            assert!(reliefs.len() == suns.len() && (error2 - 1.0).abs() < 0.01, "{reliefs:?}");
+            // What is drawn costs as 1/w: it is never more than that of as many single suns.
+            assert!(reliefs.iter().all(|w| *w >= 1.0), "{reliefs:?}");
         }
     }
 }

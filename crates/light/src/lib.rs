@@ -18,5 +18,5 @@ mod window;
 
 pub use environment::{Environment, EnvironmentError, EnvironmentOptions, UpAxis};
 pub use peak::EnvironmentPeak;
-pub use pyramid::EnvironmentPyramid;
+pub use pyramid::{EnvironmentPyramid, Variation};
 pub use sky::{SkyParameters, synthetic_sky};

@@ -1,7 +1,7 @@
 //! The environment at every coarseness: a cube map and its means over ever larger texels.
 
 use crate::Environment;
-use pbgi_math::{CubeFace, CubeMap, Vec3, luminance};
+use pbgi_math::{CubeFace, CubeMap, Vec3};
 use std::f32::consts::PI;
 
 /// Share of an averaged solid angle that a texel of the level used for it may have: smaller texels follow its outline better.
@@ -15,9 +15,54 @@ const TEXEL_SHARE: f32 = 0.25;
 pub struct EnvironmentPyramid {
     /// Texels in the order of [`CubeMap`], finest level first.
     levels: Vec<(CubeMap, Vec<[f32; 3]>)>,
-    /// Largest luminance of each texel of a level and the eight around it, on whichever face they lie.
+    /// Largest brightness of each texel of a level and the eight around it, on whichever face they lie.
     brightest: Vec<Vec<f32>>,
+    variation: Variation,
 }
+
+/// How much an environment varies, as far as nodes of a cut can tell; the same however it is turned, but for where texels lie.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Variation {
+    /// Mean brightness over the sphere, W·m⁻²·sr⁻¹.
+    pub mean: f32,
+    /// Brightness *B* at which nodes may be as large as under an even sky, W·m⁻²·sr⁻¹.
+    ///
+    /// Where nodes have the solid angle ω = *u* (*b*/*B*)^(−2/3) at the brightness *b*, the squared error of the light they hide is the mean
+    /// of *L*² ω², and it is that of an even sky of the same mean with ω = *u* where *B*^(2/3) = mean(*L*) / √mean(*L*² *b*^(−4/3)).
+    pub usual: f32,
+    /// How many times as many nodes of one size take for the same error: √mean(*L*²) / (mean(*b*^(2/3)) √mean(*L*² *b*^(−4/3))).
+    pub gain: f32,
+}
+
+impl Variation {
+    /// Of texels of this solid angle, mean brightness *L*, and brightness *b* they count for.
+    fn new(texels: impl Iterator<Item = [f32; 3]>) -> Self {
+        let mut sums = [0.0f64; 5];
+        for texel in texels {
+            let [solid_angle, light, counted] = texel.map(f64::from);
+            // What is black needs no nodes.
+            let inverse = if counted > 0.0 { counted.powf(-2.0 / 3.0) } else { 0.0 };
+            let error2 = (light * inverse).powi(2);
+            let terms = [1.0, light, light * light, counted.powf(2.0 / 3.0), error2];
+            for (sum, term) in sums.iter_mut().zip(terms) {
+                *sum += solid_angle * term;
+            }
+        }
+        let [all, light, light2, work, error2] = sums;
+        if light <= 0.0 {
+            return Self { gain: 1.0, ..Self::default() };
+        }
+        let (mean, error) = (light / all, (error2 / all).sqrt());
+        Self {
+            mean: mean as f32,
+            usual: (mean / error).powf(1.5) as f32,
+            gain: ((light2 / all).sqrt() / (work / all * error)) as f32,
+        }
+    }
+}
+
+/// Texels along a face of the level at which variation is found: of 0.03 sr, about what nodes are.
+const VARIATION_EDGE: usize = 8;
 
 impl EnvironmentPyramid {
     /// The pyramid of `environment`, as fine as its image up to `edge_max` texels along a face.
@@ -30,11 +75,23 @@ impl EnvironmentPyramid {
             let (fine, texels) = &levels[levels.len() - 1];
             levels.push(coarsen(fine, texels));
         }
-        let brightest = levels.iter().map(|(map, texels)| spread(map, texels)).collect();
-        Self { levels, brightest }
+        let brightest: Vec<Vec<f32>> =
+            levels.iter().map(|(map, texels)| spread(map, texels)).collect();
+        let level = levels.iter().position(|(map, _)| map.edge() <= VARIATION_EDGE).unwrap_or(0);
+        let (map, texels) = &levels[level];
+        let variation = Variation::new((0..texels.len()).map(|index| {
+            [map.texel(index).solid_angle_sr, largest(texels[index]), brightest[level][index]]
+        }));
+        Self { levels, brightest, variation }
     }
 
-    /// Luminance of what lies in a cone around `direction`, of any length, whose half-angle has the squared sine `sin2`, or brightest just
+    /// How much it varies.
+    #[must_use]
+    pub fn variation(&self) -> Variation {
+        self.variation
+    }
+
+    /// Brightness, that of the brightest channel, of what lies in a cone around `direction`, of any length, whose half-angle has the squared sine `sin2`, or brightest just
     /// beside it; W·m⁻²·sr⁻¹.
     ///
     /// The level is the finest whose texels are as wide as the cone. Since a texel knows the eight around it, also over the edges of
@@ -91,12 +148,17 @@ impl EnvironmentPyramid {
     }
 }
 
-/// For each texel the largest luminance among itself and those around it.
+/// For each texel the largest brightness among itself and those around it.
 fn spread(map: &CubeMap, texels: &[[f32; 3]]) -> Vec<f32> {
-    let largest = |index| {
-        map.around(index).into_iter().map(|beside| luminance(texels[beside])).fold(0.0, f32::max)
+    let brightest = |index| {
+        map.around(index).into_iter().map(|beside| largest(texels[beside])).fold(0.0, f32::max)
     };
-    (0..texels.len()).map(largest).collect()
+    (0..texels.len()).map(brightest).collect()
+}
+
+/// The brightest channel.
+fn largest(radiance: [f32; 3]) -> f32 {
+    radiance.into_iter().fold(0.0, f32::max)
 }
 
 /// Means of four texels each.
@@ -123,6 +185,7 @@ fn coarsen(fine: &CubeMap, texels: &[[f32; 3]]) -> (CubeMap, Vec<[f32; 3]>) {
 mod tests {
     use super::*;
     use crate::EnvironmentOptions;
+    use crate::lat_long::LatLong;
     use crate::test_images::sphere;
     use pbgi_image::RgbImage;
 
@@ -154,7 +217,7 @@ mod tests {
     fn a_sun_in_the_corner_of_a_face_is_never_lost() {
         let width = 256;
         // Of all pixels the one nearest to the corner (1, 1, 1).
-        let grid = crate::lat_long::LatLong::new(width, width / 2, [Vec3::X, Vec3::Y, Vec3::Z]);
+        let grid = LatLong::new(width, width / 2, [Vec3::X, Vec3::Y, Vec3::Z]);
         let corner = Vec3::ONE.normalize();
         let toward = |i: &usize| grid.center(*i).dot(corner);
         let pixel = (0..width * width / 2).max_by(|a, b| toward(a).total_cmp(&toward(b))).unwrap();
@@ -193,5 +256,34 @@ mod tests {
         }
         let uniform = EnvironmentPyramid::new(&Environment::uniform([3.0; 3]), 64);
         assert!((uniform.radiance(Vec3::X, 0.1)[2] - 3.0).abs() < 1e-5);
+    }
+
+    #[test]
+    fn variation_is_that_of_the_sky_however_it_is_turned() {
+        let even = EnvironmentPyramid::new(&Environment::uniform([0.5, 2.0, 1.0]), 32).variation();
+        for (found, expected) in [(even.mean, 2.0), (even.usual, 2.0), (even.gain, 1.0)] {
+            assert!((found - expected).abs() < 1e-4, "{even:?}");
+        }
+        // Bright where a horizontal axis leads; rows at the poles are narrow.
+        let width = 128;
+        let sky = |up: Vec3, rotate_degrees: f32| {
+            let grid = LatLong::new(width, width / 2, [Vec3::X, Vec3::Y, Vec3::Z]);
+            let light = |i| if grid.center(i).dot(up) > 0.6 { [8.0, 2.0, 1.0] } else { [0.1; 3] };
+            let pixels = (0..width * width / 2).map(light).collect();
+            let image = RgbImage { width, height: width / 2, pixels };
+            let options = EnvironmentOptions { peaks: false, rotate_degrees, ..Default::default() };
+            let environment = Environment::from_image(image, options).unwrap();
+            EnvironmentPyramid::new(&environment, 32).variation()
+        };
+        let first = sky(Vec3::Y, 0.0);
+        // A fifth of the sphere.
+        assert!((first.mean / (0.2 * 8.0 + 0.8 * 0.1) - 1.0).abs() < 0.02, "{first:?}");
+        assert!(first.gain > 1.5 && first.usual > first.mean, "{first:?}");
+        for turned in [sky(Vec3::X, 0.0), sky(Vec3::Z, 0.0), sky(Vec3::X, 90.0), sky(-Vec3::Y, 0.0)]
+        {
+            for (a, b) in [(first.mean, turned.mean), (first.usual, turned.usual)] {
+                assert!((a / b - 1.0).abs() < 0.03, "{first:?} {turned:?}");
+            }
+        }
     }
 }
