@@ -257,7 +257,7 @@ fn blend(
     for &index in block {
         let receiver = &receivers[index as usize];
         let mut blend = Blend::default();
-        near.records.iter().for_each(|record| blend.add(record, receiver));
+        near.around(receiver.position).for_each(|record| blend.add(record, receiver));
         let mut shading = match blend.shading(receiver) {
             Some(shading) => shading,
             None => worker.gather_broad(receiver)?,
@@ -288,6 +288,9 @@ fn ball(record: &Record) -> [f32; 4] {
     [x, y, z, record.reach() * record.reach()]
 }
 
+/// Squares of distances up to this many times that of a reach are looked at more closely: rounding must not decide.
+const ROUNDING: f32 = 1.0001;
+
 /// The middle of a ball.
 fn center(&[x, y, z, _]: &[f32; 4]) -> Vec3 {
     Vec3::new(x, y, z)
@@ -316,14 +319,27 @@ impl Records {
         self.balls.iter().zip(&self.records).any(|(ball, record)| is_in(ball) && holds(record))
     }
 
+    /// Records in whose balls a place lies, and maybe some of which it lies just outside.
+    fn around(&self, place: Vec3) -> impl Iterator<Item = &Record> {
+        let is_in =
+            move |ball: &[f32; 4]| place.distance_squared(center(ball)) < ROUNDING * ball[3];
+        self.balls.iter().zip(&self.records).filter(move |(ball, _)| is_in(ball)).map(|pair| pair.1)
+    }
+
     /// Limits a new record and those that are here to where they agree.
     fn agree(&mut self, new: &mut Record, tolerance: &Tolerance) {
+        let (place, own) = (new.position(), ROUNDING * new.reach() * new.reach());
         let mut reach = new.reach();
         for (record, ball) in self.records.iter_mut().zip(&mut self.balls) {
-            reach = reach.min(new.reach_beside(record, tolerance));
-            let limited = record.reach_beside(new, tolerance);
-            record.limit_reach(limited);
-            ball[3] = record.reach() * record.reach();
+            let distance2 = place.distance_squared(center(ball));
+            if distance2 < own {
+                reach = reach.min(new.reach_beside(record, tolerance));
+            }
+            if distance2 < ROUNDING * ball[3] {
+                let limited = record.reach_beside(new, tolerance);
+                record.limit_reach(limited);
+                ball[3] = record.reach() * record.reach();
+            }
         }
         new.limit_reach(reach);
     }
@@ -371,16 +387,30 @@ impl Pool {
         found
     }
 
+    /// Records no farther from a box than this, and where they are.
+    fn places(&self, bounds: &Aabb, farthest: f32) -> Vec<(Vec3, &Record)> {
+        let farthest2 = ROUNDING * farthest * farthest;
+        let mut near = Vec::new();
+        for part in &self.parts {
+            let places = part.balls.iter().map(center).zip(&part.records);
+            near.extend(places.filter(|(place, _)| distance2(bounds, *place) < farthest2));
+        }
+        near
+    }
+
     /// Reaches of the records of a part to where they agree with all.
     fn agreed_reaches(&self, number: usize, tolerance: &Tolerance) -> Vec<f32> {
         let mut reaches = Vec::with_capacity(self.parts[number].records.len());
         for block in self.parts[number].records.chunks(BLOCK) {
             let bounds = Aabb::from_points(block.iter().map(Record::position));
             let farthest = block.iter().map(Record::reach).fold(0.0, f32::max);
-            let near = self.chosen(|ball| distance2(&bounds, center(ball)) < farthest * farthest);
+            let near = self.places(&bounds, farthest);
             let agreed = |record: &Record| {
-                let beside = near.records.iter().map(|other| record.reach_beside(other, tolerance));
-                beside.fold(record.reach(), f32::min)
+                let (place, reach2) = (record.position(), ROUNDING * record.reach().powi(2));
+                let is_near = |other: &&(Vec3, &Record)| place.distance_squared(other.0) < reach2;
+                let beside = near.iter().filter(is_near);
+                let reaches = beside.map(|(_, other)| record.reach_beside(other, tolerance));
+                reaches.fold(record.reach(), f32::min)
             };
             reaches.extend(block.iter().map(agreed));
         }
