@@ -5,7 +5,7 @@
 use anyhow::{Context, Result, bail};
 use clap::Parser;
 use pbgi::{BakeRequest, Progress, bake};
-use pbgi_benches::{Line, plot};
+use pbgi_benches::{Line, plot, processor_seconds};
 use pbgi_gather::{GatherSettings, Receiver, Shading};
 use pbgi_image::compare;
 use pbgi_math::{Aabb, RootCube, Vec3};
@@ -220,13 +220,6 @@ impl Measured {
             cut_deviation: report.cut_sizes.standard_deviation(),
         }
     }
-}
-
-/// Seconds this process has run on processors, as Linux counts them in hundredths.
-fn processor_seconds() -> f64 {
-    let text = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    let fields = text.rsplit(')').next().unwrap_or_default().split_whitespace();
-    fields.skip(11).take(2).filter_map(|ticks| ticks.parse::<f64>().ok()).sum::<f64>() / 100.0
 }
 
 /// What the street's camera sees, in the order of its rows of tiles.

@@ -48,7 +48,7 @@ impl Default for Setting {
 }
 
 impl Setting {
-    fn gather(&self, case: &Case) -> GatherSettings {
+    pub fn gather(&self, case: &Case) -> GatherSettings {
         let parts = if case.gloss.is_some() { GatherParts::Sharp } else { GatherParts::All };
         GatherSettings {
             solid_angle_sr: self.solid_angle_sr,
@@ -122,7 +122,8 @@ pub fn gather_all(
     Ok((all, seconds * 1e6 / places.len().max(1) as f64))
 }
 
-fn light_of(shading: &Shading) -> Light {
+/// What of a result is compared.
+pub fn light_of(shading: &Shading) -> Light {
     Light {
         openness: shading.ambient_occlusion,
         irradiance: shading.irradiance(),

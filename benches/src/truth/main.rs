@@ -10,6 +10,7 @@ mod paths;
 mod pictures;
 mod report;
 mod scan;
+mod whole;
 mod workers;
 
 use anyhow::{Context, Result};
@@ -22,6 +23,7 @@ use pbgi_gather::Receiver;
 use pbgi_store::Octree;
 use report::Row;
 use std::path::{Path, PathBuf};
+use whole::WholeRow;
 
 /// Errors of the engine against ray-cast truth, and how long rays take to be as right.
 #[derive(Parser)]
@@ -53,6 +55,12 @@ struct Arguments {
     /// Only those settings: no curves, and no times of rays.
     #[arg(long)]
     brief: bool,
+    /// Shade whole pictures so many pixels wide instead, 9 rows to 16 columns, and compare a sample of their receivers.
+    #[arg(long, conflicts_with_all = ["brief", "worst", "pictures", "svg"])]
+    whole: Option<u32>,
+    /// Of whole pictures, shade one band of 64 rows in so many.
+    #[arg(long, default_value_t = 1, requires = "whole")]
+    nth_band: usize,
     /// Print so many receivers with the largest errors.
     #[arg(long, default_value_t = 0)]
     worst: usize,
@@ -203,9 +211,42 @@ fn run_all(
     Ok((rows, captions))
 }
 
+/// Shades whole pictures of the cases.
+fn run_whole(arguments: &Arguments, width: u32, temporary: &Path) -> Result<Vec<WholeRow>> {
+    let folders = Folders { data: arguments.data.clone(), reference: arguments.reference.clone() };
+    let mut rows = Vec::new();
+    println!("{}", whole::header());
+    for name in arguments.cases.iter().filter(|name| *name != "scan") {
+        let Some(case) = make_case(name, &folders).with_context(|| format!("case {name}"))? else {
+            println!("{name}: skipped, no data");
+            continue;
+        };
+        let sky = case.sky.clone().map(SkyImage::new);
+        let caster = Caster::new(&case.scene, sky.as_ref());
+        let octree =
+            bake_case(&case, case.surfels(arguments.surfels), &temporary.join("scene.pbgi"))?;
+        let nth = arguments.nth_band.max(1);
+        let of_case = whole::run(&case, &caster, &octree, width, nth, arguments.noise)
+            .with_context(|| format!("case {name}"))?;
+        of_case.iter().for_each(|row| println!("{row}"));
+        rows.extend(of_case);
+    }
+    Ok(rows)
+}
+
 fn main() -> Result<()> {
     let arguments = Arguments::parse();
     let temporary = tempfile::tempdir()?;
+    if let Some(width) = arguments.whole {
+        let rows = run_whole(&arguments, width, temporary.path())?;
+        if let Some(docs) = &arguments.docs {
+            page::replace(&docs.join("measuring.md"), "whole", &whole::table(&rows))?;
+        }
+        if let Some(path) = &arguments.json {
+            std::fs::write(path, serde_json::to_string_pretty(&rows)?)?;
+        }
+        return Ok(());
+    }
     println!("{}", report::HEADER);
     let images = arguments.docs.as_ref().map(|docs| docs.join("images"));
     let pictures = arguments.pictures.as_ref().or(images.as_ref());
