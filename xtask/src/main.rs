@@ -3,6 +3,7 @@
 //! `cargo xtask publish`, `cargo xtask dist`, `cargo xtask ci`.
 #![forbid(unsafe_code)]
 
+mod bench_compare;
 mod billion;
 mod bless;
 mod cases;
@@ -37,6 +38,8 @@ Usage: cargo xtask COMMAND
                   bake, verify and shade a street of so many surfels (1G) in a folder (.); 60 GB of disk (minutes)
   truth [--reference] [ARGUMENTS]
                   errors against a ray caster's truth, or against the converged references (minutes); --help tells more
+  bench-compare OLD NEW
+                  times and errors of one record of truth (--record FILE) over those of another
   cases [NAMES]   run the cases beside the workspace, all or those whose names contain one of these (minutes)
   hard-cases [NAMES]
                   measure the hard cases, all or those whose names contain one of these, and compare them with what is promised (minutes)
@@ -64,6 +67,7 @@ fn main() -> ExitCode {
         ["billion", surfels] => billion::run(&workspace, surfels, "."),
         ["billion", surfels, folder] => billion::run(&workspace, surfels, folder),
         ["truth", ref rest @ ..] => truth::run(&workspace, rest),
+        ["bench-compare", old, new] => bench_compare::run(old, new),
         ["cases", ref filters @ ..] => cases::run(&workspace, filters),
         ["faults"] => faults::run(&workspace, false),
         ["faults", "--short"] => faults::run(&workspace, true),

@@ -8,6 +8,7 @@ mod engine;
 mod page;
 mod paths;
 mod pictures;
+mod record;
 mod report;
 mod scan;
 mod whole;
@@ -21,6 +22,7 @@ use paths::{RayCurve, Truth};
 use pbgi_benches::{Caster, SkyImage};
 use pbgi_gather::Receiver;
 use pbgi_store::Octree;
+use record::Records;
 use report::Row;
 use std::path::{Path, PathBuf};
 use whole::WholeRow;
@@ -73,6 +75,9 @@ struct Arguments {
     /// Where to write the curves and errors as JSON.
     #[arg(long)]
     json: Option<PathBuf>,
+    /// Where to write every setting's time and error as CSV, for `cargo xtask bench-compare`.
+    #[arg(long)]
+    record: Option<PathBuf>,
     /// Where to draw the curves.
     #[arg(long)]
     svg: Option<PathBuf>,
@@ -245,6 +250,11 @@ fn main() -> Result<()> {
         if let Some(path) = &arguments.json {
             std::fs::write(path, serde_json::to_string_pretty(&rows)?)?;
         }
+        if let Some(path) = &arguments.record {
+            let mut records = Records::default();
+            rows.iter().for_each(|r| records.add(&r.scene, r.quantity, &r.engine, &r.rays));
+            records.write(path)?;
+        }
         return Ok(());
     }
     println!("{}", report::HEADER);
@@ -265,6 +275,11 @@ fn main() -> Result<()> {
     }
     if let Some(path) = &arguments.svg {
         std::fs::write(path, report::plot(&rows))?;
+    }
+    if let Some(path) = &arguments.record {
+        let mut records = Records::default();
+        rows.iter().for_each(|r| records.add(&r.scene, r.quantity, &r.engine, &r.rays));
+        records.write(path)?;
     }
     Ok(())
 }

@@ -366,8 +366,21 @@ pub(crate) struct Session<'a> {
     /// Records of what was shaded last.
     records: KeptRecords,
     memory: MemorySplit,
+    /// What the process had used of processors when the session began, and what it has used to shade.
+    processor_start: Option<f64>,
+    processor_shade: f64,
     /// What the user should know of, one sentence each.
     pub warnings: Vec<String>,
+}
+
+/// Processor seconds this process has used since it had used `before`, where the system tells.
+fn seconds_since(before: Option<f64>) -> Option<f64> {
+    Some(processor_seconds()? - before?)
+}
+
+/// Processor seconds this process has used so far, where the system tells.
+fn processor_seconds() -> Option<f64> {
+    pbgi_file::platform::process_use().map(|used| used.user_seconds + used.system_seconds)
 }
 
 impl<'a> Session<'a> {
@@ -423,6 +436,8 @@ impl<'a> Session<'a> {
             done: ScheduleReport::default(),
             records: KeptRecords::default(),
             memory,
+            processor_start: processor_seconds(),
+            processor_shade: 0.0,
             warnings,
         })
     }
@@ -498,6 +513,7 @@ impl<'a> Session<'a> {
         let mut records = std::mem::take(&mut self.records);
         // What shares records is shaded as one.
         let chunk = if self.gather.tolerance > 0.0 { receivers.len() } else { CHUNK_RECEIVERS };
+        let before = processor_seconds();
         let report = shade_stream(
             &self.octree,
             self.light.as_ref(),
@@ -515,6 +531,7 @@ impl<'a> Session<'a> {
         )?;
         self.records = records;
         self.done.add(&report);
+        self.processor_shade += seconds_since(before).unwrap_or(0.0);
         Ok(shadings)
     }
 
@@ -534,8 +551,10 @@ impl<'a> Session<'a> {
             sample.offer_all(chunk.receivers, None, &chunk.shadings);
             take(chunk)
         };
+        let before = processor_seconds();
         let report = shade_stream(octree, light.as_ref(), &options, &mut records, fill, take)?;
         done.add(&report);
+        self.processor_shade += seconds_since(before).unwrap_or(0.0);
         Ok(())
     }
 
@@ -567,6 +586,7 @@ impl<'a> Session<'a> {
         Ok(ShadeReport {
             receivers,
             shade_seconds: seconds,
+            shade_processor_seconds: self.processor_start.map(|_| self.processor_shade),
             receivers_per_second: receivers as f64 / seconds.max(1e-9),
             cut_mean: cut_sizes.mean(),
             nodes_visited_mean: cut.nodes_visited as f64 / cut_sizes.count.max(1) as f64,
@@ -586,6 +606,7 @@ impl<'a> Session<'a> {
             threads: self.threads,
             environment_peaks: self.environment.as_ref().map_or(0, |e| e.peaks().len()),
             total_seconds: 0.0,
+            processor_seconds: seconds_since(self.processor_start),
             damaged_pages,
             warnings: self.warnings,
         })
@@ -694,6 +715,8 @@ pub struct ShadeReport {
     pub receivers: u64,
     /// Seconds the workers took, without hiding, reading of scenes, writing and the check.
     pub shade_seconds: f64,
+    /// Seconds of processors in them, of all threads of the process, where the system tells; to hundredths.
+    pub shade_processor_seconds: Option<f64>,
     /// Receivers per second of those.
     pub receivers_per_second: f64,
     /// Mean entries of a cut.
@@ -732,6 +755,8 @@ pub struct ShadeReport {
     pub environment_peaks: usize,
     /// Seconds of the whole run.
     pub total_seconds: f64,
+    /// Seconds of processors from when the octree was opened, with hiding and the check, where the system tells.
+    pub processor_seconds: Option<f64>,
     /// Pages that are damaged and were left out.
     pub damaged_pages: Vec<u32>,
     /// What the user should know of, one sentence each.
