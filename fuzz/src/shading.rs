@@ -129,6 +129,7 @@ pub fn read_camera(data: &[u8]) {
             shading_rate: 1.0,
             aovs: vec![Aov::Depth],
             names: AovNames::default(),
+            scratch: None,
             settings: settings(),
         };
         let _ = pbgi::shade_frame(&request, &Progress::silent(), &AtomicBool::new(false));

@@ -99,12 +99,14 @@ fn shade(octree: &Path, settings: ShadeSettings) -> Result<Frame> {
         shading_rate: 1.0,
         aovs: vec![Aov::SkyVisibility],
         names: AovNames::default(),
+        scratch: None,
         settings,
     };
     Ok(pbgi::shade_frame(&request, &Progress::silent(), &AtomicBool::new(false))?)
 }
 
 fn visibility(frame: &Frame) -> Result<Vec<f32>> {
-    let found = frame.image.channel("sky_visibility").context("no channel sky_visibility")?;
+    let image = frame.image()?;
+    let found = image.channel("sky_visibility").context("no channel sky_visibility")?;
     Ok(found.to_vec())
 }

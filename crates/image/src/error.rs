@@ -72,6 +72,17 @@ impl ImageError {
         Self::Malformed { path: path.to_owned(), message: message.into() }
     }
 
+    /// The image error that a closure has passed on as the cause of an [`ImageError::Io`], or else that error itself.
+    pub(crate) fn or_cause(self) -> Self {
+        match self {
+            Self::Io { path, action, source } => match source.downcast() {
+                Ok(cause) => cause,
+                Err(source) => Self::Io { path, action, source },
+            },
+            other => other,
+        }
+    }
+
     pub(crate) fn unsupported(
         path: &Path,
         found: impl Into<String>,

@@ -1,17 +1,20 @@
 //! Writing of EXR files.
 
 use crate::{
-    AttributeValue, Image, ImageError, ImageWindow, RgbImage, Samples, StoredChannel,
+    AttributeValue, Image, ImageError, ImageWindow, Planes, RgbImage, Samples, StoredChannel,
     write_atomically,
 };
-use exr::block::{UncompressedBlock, writer::ChunksWriter};
+use exr::block::UncompressedBlock;
+use exr::block::writer::{ChunksWriter, ParallelBlocksCompressor};
 use exr::compression::Compression;
 use exr::math::Vec2;
-use exr::meta::BlockDescription;
 use exr::meta::attribute::{
     AttributeValue as ExrValue, ChannelDescription, IntegerBounds, LineOrder, SampleType, Text,
 };
 use exr::meta::header::Header;
+use exr::meta::{BlockDescription, MetaData};
+use half::f16;
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::io::{self, Cursor, Seek, Write};
 use std::ops::Range;
@@ -42,7 +45,7 @@ pub const LAYOUT_ATTRIBUTES: [&str; 14] = [
 /// (`worldToCamera`, `worldToNDC`, `software`, `comments`, `owner`); matrices are transposed on
 /// the way, see [`AttributeValue::Matrix`]. The bytes are the same for any number of threads.
 /// The file appears whole or not at all ([`write_atomically`]). Beside `image` only a few blocks of
-/// 16 rows are in memory at a time.
+/// 16 rows are in memory at a time ([`exr_write_bytes`]).
 ///
 /// # Errors
 ///
@@ -70,18 +73,78 @@ pub fn write_windowed_exr(
     window: &ImageWindow,
     attributes: &[(String, AttributeValue)],
 ) -> Result<(), ImageError> {
-    let channels = check_channels(path, image, stored)?;
-    let mut header = describe(path, image, &channels, attributes)?;
+    let own = image
+        .channels
+        .iter()
+        .map(|c| Written { name: &c.name, samples: WrittenSamples::Float(&c.data) });
+    write_channels(path, [image.width, image.height], own, stored, window, attributes)
+}
+
+/// As [`write_windowed_exr`], of planes, which need not be in memory.
+///
+/// # Errors
+///
+/// Those of [`write_exr`] and of [`Planes::read`].
+pub fn write_planes_exr(
+    path: &Path,
+    planes: &Planes,
+    stored: &[StoredChannel],
+    window: &ImageWindow,
+    attributes: &[(String, AttributeValue)],
+) -> Result<(), ImageError> {
+    let own = planes
+        .names()
+        .iter()
+        .enumerate()
+        .map(|(plane, name)| Written { name, samples: WrittenSamples::Plane(planes, plane) });
+    write_channels(path, [planes.width(), planes.height()], own, stored, window, attributes)
+}
+
+/// Most bytes of memory that writing takes beside the image, if a single block does not take more.
+const WRITE_BYTES_MAX: usize = 64 << 20;
+
+/// Rows of a block.
+const BLOCK_ROWS: usize = 16;
+
+/// Times a block is held while it is compressed: as it comes, with its bytes in another order, and compressed.
+const BLOCK_COPIES: usize = 3;
+
+/// Bytes of memory that writing rows of `width` pixels with so many channels takes beside the image, at most.
+#[must_use]
+pub fn exr_write_bytes(width: usize, channel_count: usize) -> usize {
+    WRITE_BYTES_MAX.max(block_bytes(width, channel_count) * BLOCK_COPIES)
+}
+
+fn block_bytes(width: usize, channel_count: usize) -> usize {
+    BLOCK_ROWS * width * channel_count * size_of::<f32>()
+}
+
+/// Threads that compress blocks: one more block than that is being made, and one is waiting; none where there is no room for that.
+fn compressor_threads(width: usize, channel_count: usize) -> usize {
+    let blocks = WRITE_BYTES_MAX / (block_bytes(width, channel_count) * BLOCK_COPIES).max(1);
+    let processors = std::thread::available_parallelism().map_or(1, usize::from);
+    blocks.saturating_sub(2).min(processors)
+}
+
+fn write_channels<'a>(
+    path: &Path,
+    size: [usize; 2],
+    own: impl Iterator<Item = Written<'a>>,
+    stored: &'a [StoredChannel],
+    window: &ImageWindow,
+    attributes: &[(String, AttributeValue)],
+) -> Result<(), ImageError> {
+    let stored = stored
+        .iter()
+        .map(|c| Written { name: &c.name, samples: WrittenSamples::Stored(&c.samples) });
+    let channels = check_channels(path, size, own.chain(stored).collect())?;
+    let mut header = describe(path, size, &channels, attributes)?;
     set_window(&mut header, window);
     let sorted =
         serialize_sorted(&header).map_err(|message| ImageError::unwritable(path, message))?;
     write_atomically(path, |file| {
         exr::block::write(&mut *file, [header].into_iter().collect(), true, |meta, writer| {
-            let blocks = meta.collect_ordered_blocks(|index| {
-                let (y, rows) = (index.pixel_position.y(), index.pixel_size.y());
-                UncompressedBlock { index, data: gather_rows(&channels, image.width, y, rows) }
-            });
-            writer.on_progress(|_| ()).compress_all_blocks_parallel(&meta, blocks)
+            write_blocks(&meta, writer, &channels, size[0])
         })
         .map_err(|error| match error {
             exr::error::Error::Io(cause) => cause,
@@ -89,6 +152,38 @@ pub fn write_windowed_exr(
         })?;
         file.seek(io::SeekFrom::Start(0))?;
         file.write_all(&sorted)
+    })
+    .map_err(ImageError::or_cause)
+}
+
+/// Compresses all blocks in their order, on several threads where there is room for their blocks.
+fn write_blocks(
+    meta: &MetaData,
+    writer: &mut impl ChunksWriter,
+    channels: &[Written<'_>],
+    width: usize,
+) -> exr::error::UnitResult {
+    let blocks = meta.enumerate_ordered_header_block_indices().map(|(number, index)| {
+        let (y, rows) = (index.pixel_position.y(), index.pixel_size.y());
+        let data = gather_rows(channels, width, y..y + rows).map_err(io::Error::other)?;
+        Ok((number, UncompressedBlock { index, data }))
+    });
+    let mut blocks = blocks.map(|block| block.map_err(exr::error::Error::Io));
+    let threads = compressor_threads(width, channels.len());
+    let pool = || rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+    let parallel = (threads > 0)
+        .then(|| ParallelBlocksCompressor::new_with_thread_pool(meta, writer, pool))
+        .flatten();
+    if let Some(mut compressor) = parallel {
+        return blocks.try_for_each(|block| {
+            let (number, block) = block?;
+            compressor.add_block_to_compression_queue(number, block)
+        });
+    }
+    let mut compressor = writer.sequential_blocks_compressor(meta);
+    blocks.try_for_each(|block| {
+        let (number, block) = block?;
+        compressor.compress_block(number, block)
     })
 }
 
@@ -122,6 +217,8 @@ struct Written<'a> {
 enum WrittenSamples<'a> {
     Float(&'a [f32]),
     Stored(&'a Samples),
+    /// A plane by its index.
+    Plane(&'a Planes, usize),
 }
 
 impl WrittenSamples<'_> {
@@ -129,27 +226,47 @@ impl WrittenSamples<'_> {
         match self {
             Self::Float(samples) => samples.len(),
             Self::Stored(samples) => samples.len(),
+            Self::Plane(planes, plane) => planes.len(*plane),
         }
     }
 
     fn kind(&self) -> SampleType {
         match self {
-            Self::Float(_) | Self::Stored(Samples::Float(_)) => SampleType::F32,
+            Self::Float(_) | Self::Plane(..) | Self::Stored(Samples::Float(_)) => SampleType::F32,
             Self::Stored(Samples::Half(_)) => SampleType::F16,
             Self::Stored(Samples::Uint(_)) => SampleType::U32,
         }
     }
 
+    /// Rows of samples.
+    fn read(&self, range: Range<usize>) -> Result<RowSamples<'_>, ImageError> {
+        Ok(match self {
+            Self::Float(s) => RowSamples::Float(Cow::Borrowed(&s[range])),
+            Self::Stored(Samples::Float(s)) => RowSamples::Float(Cow::Borrowed(&s[range])),
+            Self::Stored(Samples::Half(s)) => RowSamples::Half(&s[range]),
+            Self::Stored(Samples::Uint(s)) => RowSamples::Uint(&s[range]),
+            Self::Plane(planes, plane) => RowSamples::Float(planes.read(*plane, range)?),
+        })
+    }
+}
+
+/// Samples of the rows of a block.
+enum RowSamples<'a> {
+    Half(&'a [f16]),
+    Float(Cow<'a, [f32]>),
+    Uint(&'a [u32]),
+}
+
+impl RowSamples<'_> {
     /// Appends samples in the byte order of this machine.
     fn push_bytes(&self, range: Range<usize>, bytes: &mut Vec<u8>) {
         fn push<T, const N: usize>(samples: &[T], bytes: &mut Vec<u8>, to: fn(&T) -> [u8; N]) {
             bytes.extend(samples.iter().flat_map(to));
         }
         match self {
+            Self::Half(s) => push(&s[range], bytes, |s| s.to_ne_bytes()),
             Self::Float(s) => push(&s[range], bytes, |s| s.to_ne_bytes()),
-            Self::Stored(Samples::Float(s)) => push(&s[range], bytes, |s| s.to_ne_bytes()),
-            Self::Stored(Samples::Half(s)) => push(&s[range], bytes, |s| s.to_ne_bytes()),
-            Self::Stored(Samples::Uint(s)) => push(&s[range], bytes, |s| s.to_ne_bytes()),
+            Self::Uint(s) => push(&s[range], bytes, |s| s.to_ne_bytes()),
         }
     }
 }
@@ -157,18 +274,9 @@ impl WrittenSamples<'_> {
 /// The channels in the order of the file, which is that of their names.
 fn check_channels<'a>(
     path: &Path,
-    image: &'a Image,
-    stored: &'a [StoredChannel],
+    [width, height]: [usize; 2],
+    mut channels: Vec<Written<'a>>,
 ) -> Result<Vec<Written<'a>>, ImageError> {
-    let (width, height) = (image.width, image.height);
-    let own = image
-        .channels
-        .iter()
-        .map(|c| Written { name: &c.name, samples: WrittenSamples::Float(&c.data) });
-    let stored = stored
-        .iter()
-        .map(|c| Written { name: &c.name, samples: WrittenSamples::Stored(&c.samples) });
-    let mut channels: Vec<Written<'a>> = own.chain(stored).collect();
     if width == 0 || height == 0 || channels.is_empty() {
         let count = channels.len();
         let message = format!("it is empty: {width} x {height} pixels, {count} channels");
@@ -217,7 +325,7 @@ fn text(value: &str) -> Text {
 
 fn describe(
     path: &Path,
-    image: &Image,
+    size: [usize; 2],
     channels: &[Written<'_>],
     attributes: &[(String, AttributeValue)],
 ) -> Result<Header, ImageError> {
@@ -225,7 +333,7 @@ fn describe(
         .iter()
         .map(|c| ChannelDescription::new(text(c.name), c.samples.kind(), false))
         .collect();
-    let mut header = Header::new(text(""), (image.width, image.height), list).with_encoding(
+    let mut header = Header::new(text(""), (size[0], size[1]), list).with_encoding(
         Compression::ZIP16,
         BlockDescription::ScanLines,
         LineOrder::Increasing,
@@ -310,15 +418,22 @@ fn split_attributes(bytes: &[u8]) -> Option<BTreeMap<&[u8], &[u8]>> {
     Some(attributes)
 }
 
-/// Samples of `rows` rows from `y` in the order of a block: by row, then channel, then column.
-fn gather_rows(channels: &[Written<'_>], width: usize, y: usize, rows: usize) -> Vec<u8> {
-    let mut bytes = Vec::with_capacity(rows * width * channels.len() * 4);
-    for row in y..y + rows {
-        for channel in channels {
-            channel.samples.push_bytes(row * width..(row + 1) * width, &mut bytes);
+/// Samples of some rows in the order of a block: by row, then channel, then column.
+fn gather_rows(
+    channels: &[Written<'_>],
+    width: usize,
+    rows: Range<usize>,
+) -> Result<Vec<u8>, ImageError> {
+    let range = rows.start * width..rows.end * width;
+    let samples: Vec<RowSamples<'_>> =
+        channels.iter().map(|c| c.samples.read(range.clone())).collect::<Result<_, _>>()?;
+    let mut bytes = Vec::with_capacity(rows.len() * width * channels.len() * size_of::<f32>());
+    for row in 0..rows.len() {
+        for channel in &samples {
+            channel.push_bytes(row * width..(row + 1) * width, &mut bytes);
         }
     }
-    bytes
+    Ok(bytes)
 }
 
 #[cfg(test)]
@@ -392,7 +507,7 @@ mod tests {
         let stored = [
             ("crypto00.r", Samples::Float(ids.clone())),
             ("id", Samples::Uint((0..12).map(|i| u32::MAX - i).collect())),
-            ("Z", Samples::Half((0..12).map(|i| half::f16::from_f32(i as f32 * 0.3)).collect())),
+            ("Z", Samples::Half((0..12).map(|i| f16::from_f32(i as f32 * 0.3)).collect())),
         ]
         .map(|(name, samples)| StoredChannel { name: name.to_owned(), samples });
         let window =
@@ -423,6 +538,42 @@ mod tests {
             })
             .collect();
         assert!(files.iter().all(|f| *f == files[0]));
+    }
+
+    /// Planes on disk give the file of an image in memory, compressed by one thread or many.
+    #[test]
+    fn planes_give_the_bytes_of_an_image() {
+        let directory = tempdir().unwrap();
+        let names = ["R", "G", "B", "A", "N.X", "AO"];
+        for (width, height) in [(300, 83), (60_001, 17)] {
+            let image = gradient(width, height, &names);
+            let owned = names.map(str::to_owned).to_vec();
+            let mut planes = Planes::in_scratch(directory.path(), width, height, owned).unwrap();
+            for rows in 0..height {
+                for (plane, channel) in image.channels.iter().enumerate() {
+                    let row = rows * width..(rows + 1) * width;
+                    planes.append(plane, &channel.data[row]).unwrap();
+                }
+            }
+            let stored = [StoredChannel {
+                name: "id".to_owned(),
+                samples: Samples::Uint((0..(width * height) as u32).collect()),
+            }];
+            let window = ImageWindow::whole(width, height);
+            let [a, b] = ["a.exr", "b.exr"].map(|name| directory.path().join(name));
+            write_windowed_exr(&a, &image, &stored, &window, &[]).unwrap();
+            write_planes_exr(&b, &planes, &stored, &window, &[]).unwrap();
+            assert!(std::fs::read(&a).unwrap() == std::fs::read(&b).unwrap(), "{width}");
+            std::fs::remove_file(&a).unwrap();
+            std::fs::remove_file(&b).unwrap();
+        }
+        assert!(compressor_threads(300, 7) > 0 && compressor_threads(60_001, 7) == 0);
+        let lacking = Planes::in_memory(2, 2, vec!["R".to_owned()]);
+        let path = directory.path().join("c.exr");
+        let window = ImageWindow::whole(2, 2);
+        let error = write_planes_exr(&path, &lacking, &[], &window, &[]).unwrap_err().to_string();
+        assert!(error.contains("channel R has 0 samples, expected 4"), "{error}");
+        assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0);
     }
 
     #[test]

@@ -15,6 +15,7 @@ mod exr_write;
 mod hdr;
 mod image;
 mod metrics;
+mod planes;
 mod png;
 mod tone;
 
@@ -32,7 +33,11 @@ pub use environment::{
 };
 pub use error::ImageError;
 pub use exr_read::{read_exr, read_exr_metadata, read_stored_exr, read_stored_exr_within};
-pub use exr_write::{LAYOUT_ATTRIBUTES, write_environment_exr, write_exr, write_windowed_exr};
+pub use exr_write::{
+    LAYOUT_ATTRIBUTES, exr_write_bytes, write_environment_exr, write_exr, write_planes_exr,
+    write_windowed_exr,
+};
 pub use metrics::{ErrorMetrics, MetricsError, compare, squared_errors};
-pub use png::write_png;
-pub use tone::{ToneMap, auto_exposure};
+pub use planes::Planes;
+pub use png::{write_png, write_png_rows};
+pub use tone::{ToneMap, auto_exposure, auto_exposure_of};

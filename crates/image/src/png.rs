@@ -1,9 +1,12 @@
 //! PNG previews.
 
 use crate::{ImageError, ToneMap, write_atomically};
-use ::image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
-use std::io;
+use ::png::{BitDepth, ColorType, Compression, Encoder, EncodingError, Filter};
+use std::io::{self, Write};
 use std::path::Path;
+
+/// Bytes of compressed data that are collected before they are written.
+const CHUNK_BYTES: usize = 1 << 18;
 
 /// Writes linear colors as an 8-bit sRGB PNG after tone mapping; the file appears whole or not at
 /// all.
@@ -19,20 +22,66 @@ pub fn write_png(
     rgb: &[[f32; 3]],
     tone: ToneMap,
 ) -> Result<(), ImageError> {
-    let sizes = u32::try_from(width).ok().zip(u32::try_from(height).ok());
-    let (columns, rows) = match sizes {
-        Some(sizes) if rgb.len() == width * height && !rgb.is_empty() => sizes,
-        _ => {
-            let message = format!("{} pixels, expected {width} x {height}", rgb.len());
-            return Err(ImageError::unwritable(path, message));
-        }
-    };
-    let bytes: Vec<u8> = rgb.iter().flat_map(|pixel| tone.to_srgb8(*pixel)).collect();
-    write_atomically(path, |file| {
-        PngEncoder::new(file)
-            .write_image(&bytes, columns, rows, ExtendedColorType::Rgb8)
-            .map_err(io::Error::other)
+    if rgb.len() != width * height {
+        let message = format!("{} pixels, expected {width} x {height}", rgb.len());
+        return Err(ImageError::unwritable(path, message));
+    }
+    write_png_rows(path, width, height, tone, |y, row| {
+        row.extend_from_slice(&rgb[y * width..(y + 1) * width]);
+        Ok(())
     })
+}
+
+/// As [`write_png`], of an image that is not in memory: `read_row` appends the pixels of a row to the empty list it is given, the top
+/// row first.
+///
+/// # Errors
+///
+/// Those of [`write_png`] and of `read_row`.
+///
+/// # Panics
+///
+/// If a row has not `width` pixels.
+pub fn write_png_rows(
+    path: &Path,
+    width: usize,
+    height: usize,
+    tone: ToneMap,
+    mut read_row: impl FnMut(usize, &mut Vec<[f32; 3]>) -> Result<(), ImageError>,
+) -> Result<(), ImageError> {
+    let sizes = u32::try_from(width).ok().zip(u32::try_from(height).ok());
+    let Some((columns, rows)) = sizes.filter(|(columns, rows)| *columns > 0 && *rows > 0) else {
+        let message = format!("{width} x {height} pixels are out of range");
+        return Err(ImageError::unwritable(path, message));
+    };
+    write_atomically(path, |file| {
+        let mut encoder = Encoder::new(file, columns, rows);
+        encoder.set_color(ColorType::Rgb);
+        encoder.set_depth(BitDepth::Eight);
+        encoder.set_compression(Compression::Fast);
+        encoder.set_filter(Filter::Adaptive);
+        let mut header = encoder.write_header().map_err(io_error)?;
+        let mut writer = header.stream_writer_with_size(CHUNK_BYTES).map_err(io_error)?;
+        let (mut row, mut bytes) = (Vec::with_capacity(width), Vec::with_capacity(3 * width));
+        for y in 0..height {
+            row.clear();
+            read_row(y, &mut row).map_err(io::Error::other)?;
+            assert_eq!(row.len(), width, "a row has a pixel per column");
+            bytes.clear();
+            bytes.extend(row.iter().flat_map(|pixel| tone.to_srgb8(*pixel)));
+            writer.write_all(&bytes)?;
+        }
+        writer.finish().map_err(io_error)?;
+        header.finish().map_err(io_error)
+    })
+    .map_err(ImageError::or_cause)
+}
+
+fn io_error(error: EncodingError) -> io::Error {
+    match error {
+        EncodingError::IoError(cause) => cause,
+        other => io::Error::other(other),
+    }
 }
 
 #[cfg(test)]
@@ -61,5 +110,17 @@ mod tests {
             assert!(write_png(path, width, height, &pixels, ToneMap::default()).is_err());
         }
         assert!(!path.exists());
+    }
+
+    #[test]
+    fn errors_of_rows_come_out_and_leave_no_file() {
+        let directory = tempdir().unwrap();
+        let path = directory.path().join("a.png");
+        let result = write_png_rows(&path, 2, 3, ToneMap::default(), |y, row| {
+            row.extend([[0.5; 3]; 2]);
+            if y < 2 { Ok(()) } else { Err(ImageError::malformed(Path::new("scratch"), "gone")) }
+        });
+        assert_eq!(result.unwrap_err().to_string(), "scratch: gone");
+        assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0);
     }
 }

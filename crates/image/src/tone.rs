@@ -1,6 +1,7 @@
 //! From linear radiance to a pleasant picture.
 
 use pbgi_math::luminance;
+use std::convert::Infallible;
 
 /// How linear radiance becomes display color in a preview.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -72,22 +73,66 @@ fn encode_srgb(linear: f32) -> f32 {
 #[must_use]
 pub fn auto_exposure(rgb: &[[f32; 3]], mask: Option<&[bool]>) -> f32 {
     let counts = |i: usize| mask.is_none_or(|m| m.get(i).copied().unwrap_or(false));
-    let mut luminances: Vec<f32> = rgb
-        .iter()
-        .enumerate()
-        .filter(|(i, _)| counts(*i))
-        .map(|(_, p)| luminance(*p))
-        .filter(|y| y.is_finite() && *y > 0.0)
-        .collect();
-    if luminances.is_empty() {
-        return 0.0;
+    let stops = auto_exposure_of::<Infallible>(|take| {
+        rgb.iter().enumerate().filter(|(i, _)| counts(*i)).for_each(|(_, color)| take(*color));
+        Ok(())
+    });
+    match stops {
+        Ok(stops) => stops,
     }
-    let sum: f64 = luminances.iter().map(|y| f64::from(y.ln())).sum();
-    let log_average = (sum / luminances.len() as f64).exp();
-    let rank = (luminances.len() - 1) * 19 / 20;
-    let (_, bright, _) = luminances.select_nth_unstable_by(rank, f32::total_cmp);
-    let gain = (0.18 / log_average).min(4.0 / f64::from(*bright));
-    gain.log2() as f32
+}
+
+/// As [`auto_exposure`], of colors that are not in memory: `pass` hands all that count to the function it is given, and is called
+/// twice. Half a MiB is held, whatever their number.
+///
+/// # Errors
+///
+/// Those of `pass`.
+pub fn auto_exposure_of<E>(
+    mut pass: impl FnMut(&mut dyn FnMut([f32; 3])) -> Result<(), E>,
+) -> Result<f32, E> {
+    // Bits of positive floats are ordered as the floats are: the upper half places a rank in a bucket, the lower half within it.
+    let mut buckets = vec![0u64; 1 << 16];
+    let (mut sum, mut count) = (0.0, 0u64);
+    pass(&mut |color| {
+        if let Some(y) = lit_luminance(color) {
+            sum += f64::from(y.ln());
+            count += 1;
+            buckets[(y.to_bits() >> 16) as usize] += 1;
+        }
+    })?;
+    if count == 0 {
+        return Ok(0.0);
+    }
+    let (upper, rank) = bucket_of(&buckets, (count - 1) * 19 / 20);
+    buckets.fill(0);
+    pass(&mut |color| {
+        let bits = lit_luminance(color).map(f32::to_bits).filter(|bits| bits >> 16 == upper);
+        if let Some(bits) = bits {
+            buckets[(bits & 0xffff) as usize] += 1;
+        }
+    })?;
+    let (lower, _) = bucket_of(&buckets, rank);
+    let bright = f32::from_bits(upper << 16 | lower);
+    let log_average = (sum / count as f64).exp();
+    let gain = (0.18 / log_average).min(4.0 / f64::from(bright));
+    Ok(gain.log2() as f32)
+}
+
+/// Luminance of a color that is lit.
+fn lit_luminance(color: [f32; 3]) -> Option<f32> {
+    Some(luminance(color)).filter(|y| y.is_finite() && *y > 0.0)
+}
+
+/// The bucket that holds the value of a rank, counted from 0, and the rank within it.
+fn bucket_of(counts: &[u64], mut rank: u64) -> (u32, u64) {
+    for (bucket, count) in counts.iter().enumerate() {
+        if rank < *count {
+            return (bucket as u32, rank);
+        }
+        rank -= count;
+    }
+    panic!("rank {rank} lies beyond the last value")
 }
 
 #[cfg(test)]
@@ -143,5 +188,40 @@ mod tests {
         let mut night = vec![[0.001f32; 3]; 90];
         night.extend([[1.0; 3]; 10]);
         assert!((auto_exposure(&night, None).exp2() - 4.0).abs() < 1e-3);
+    }
+
+    /// The rank by sorting, and the sum of a list.
+    fn exposure_by_sorting(pixels: &[[f32; 3]]) -> f32 {
+        let mut lit: Vec<f32> = pixels.iter().map(|p| luminance(*p)).collect();
+        lit.retain(|y| y.is_finite() && *y > 0.0);
+        let Some(last) = lit.len().checked_sub(1) else { return 0.0 };
+        let sum: f64 = lit.iter().map(|y| f64::from(y.ln())).sum();
+        let average = (sum / lit.len() as f64).exp();
+        lit.sort_by(f32::total_cmp);
+        (0.18 / average).min(4.0 / f64::from(lit[last * 19 / 20])).log2() as f32
+    }
+
+    #[test]
+    fn exposure_without_a_list_is_that_of_the_sorted_list() {
+        let mut state = 1u32;
+        let mut random = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            state
+        };
+        for count in [0, 1, 2, 19, 20, 21, 1000, 30_000] {
+            // Any bits at all, and colors that differ in the last ones, bright enough for the rank to tell.
+            let wild: Vec<[f32; 3]> =
+                (0..count).map(|_| [0; 3].map(|_: i32| f32::from_bits(random()))).collect();
+            let near: Vec<[f32; 3]> = (0..count)
+                .map(|i| if i % 9 == 0 { 1e3 + (random() >> 16) as f32 * 1e-2 } else { 1e-4 })
+                .map(|y| [y; 3])
+                .collect();
+            for pixels in [wild, near] {
+                let expected = exposure_by_sorting(&pixels).to_bits();
+                assert_eq!(auto_exposure(&pixels, None).to_bits(), expected, "{count}");
+            }
+        }
+        let failing = auto_exposure_of(|_| Err("broken"));
+        assert_eq!(failing, Err("broken"));
     }
 }

@@ -2,7 +2,9 @@
 
 use crate::PbgiError;
 use crate::frame::Frame;
-use pbgi_image::{Aov, Tile, ToneMap, auto_exposure, write_contact_sheet};
+use pbgi_image::{Aov, ImageError, Tile, ToneMap, auto_exposure, write_contact_sheet};
+use std::borrow::Cow;
+use std::ops::Range;
 use std::path::Path;
 
 /// Largest edge of a tile in pixels.
@@ -17,23 +19,23 @@ impl Frame {
     ///
     /// If the file cannot be written.
     pub fn write_contact_sheet(&self, path: &Path, exposure: Option<f32>) -> Result<(), PbgiError> {
-        let (width, height) = (self.image.width, self.image.height);
+        let (width, height) = (self.planes.width(), self.planes.height());
         let factor = width.max(height).div_ceil(TILE_EDGE_MAX).max(1);
-        let covered = shrink(width, height, factor, |pixel| f32::from(self.covered[pixel]));
+        let covered =
+            shrink(width, height, factor, |rows| Ok(Cow::Owned(self.preview.read_covered(rows)?)))?;
         let covered: Vec<bool> = covered.into_iter().map(|share| share > 0.5).collect();
-        let tiles: Vec<Tile> = self
-            .layers
-            .iter()
-            .map(|(aov, names)| {
-                let planes: Vec<Vec<f32>> = names
-                    .iter()
-                    .filter_map(|name| self.image.channel(name))
-                    .map(|data| shrink(width, height, factor, |pixel| data[pixel]))
-                    .collect();
-                let pixels = display(*aov, &planes, &covered, exposure);
-                Tile { title: title(names), pixels }
-            })
-            .collect();
+        let tile = |(aov, names): &(Aov, Vec<String>)| {
+            let planes = names
+                .iter()
+                .filter_map(|name| self.planes.find(name))
+                .map(|plane| {
+                    shrink(width, height, factor, |rows| self.planes.read_rows(plane, rows))
+                })
+                .collect::<Result<Vec<_>, _>>()?;
+            let pixels = display(*aov, &planes, &covered, exposure);
+            Ok(Tile { title: title(names), pixels })
+        };
+        let tiles = self.layers.iter().map(tile).collect::<Result<Vec<Tile>, ImageError>>()?;
         let (width, height) = (width.div_ceil(factor), height.div_ceil(factor));
         Ok(write_contact_sheet(path, width, height, &tiles)?)
     }
@@ -48,20 +50,26 @@ fn title(names: &[String]) -> String {
     }
 }
 
-/// Means of blocks of `factor × factor` pixels, smaller ones at the right and the bottom.
-fn shrink(width: usize, height: usize, factor: usize, value: impl Fn(usize) -> f32) -> Vec<f32> {
+/// Means of blocks of `factor × factor` pixels, smaller ones at the right and the bottom, of rows that `read` gives.
+fn shrink<'a>(
+    width: usize,
+    height: usize,
+    factor: usize,
+    read: impl Fn(Range<usize>) -> Result<Cow<'a, [f32]>, ImageError>,
+) -> Result<Vec<f32>, ImageError> {
     let mut means = Vec::with_capacity(width.div_ceil(factor) * height.div_ceil(factor));
     for y in (0..height).step_by(factor) {
+        let rows = factor.min(height - y);
+        let samples = read(y..y + rows)?;
         for x in (0..width).step_by(factor) {
-            let (columns, rows) = (factor.min(width - x), factor.min(height - y));
-            let row_sum = |row: usize| -> f32 {
-                (x..x + columns).map(|column| value((y + row) * width + column)).sum()
-            };
+            let columns = factor.min(width - x);
+            let row_sum =
+                |row: usize| -> f32 { samples[row * width + x..][..columns].iter().sum() };
             let sum: f32 = (0..rows).map(row_sum).sum();
             means.push(sum / (columns * rows) as f32);
         }
     }
-    means
+    Ok(means)
 }
 
 /// Linear display colors of a quantity.
@@ -125,8 +133,9 @@ mod tests {
     #[test]
     fn blocks_at_the_border_are_smaller() {
         let image = [0.0, 2.0, 4.0, 2.0, 4.0, 8.0];
-        assert_eq!(shrink(3, 2, 2, |i| image[i]), [2.0, 6.0]);
-        assert_eq!(shrink(3, 2, 1, |i| image[i]), image);
+        let read = |rows: Range<usize>| Ok(Cow::Borrowed(&image[3 * rows.start..3 * rows.end]));
+        assert_eq!(shrink(3, 2, 2, read).unwrap(), [2.0, 6.0]);
+        assert_eq!(shrink(3, 2, 1, read).unwrap(), image);
     }
 
     #[test]

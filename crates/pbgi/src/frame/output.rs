@@ -1,10 +1,12 @@
 //! Results on their way into files: channels of a frame, and attributes.
 
+use crate::PbgiError;
 use crate::frame::band::{Band, Piece};
+use crate::frame::preview::{Preview, preview_names};
 use crate::frame::request::FrameRequest;
 use crate::shade::{ShadeReport, ShadeSettings, list_pages};
 use pbgi_gather::Shading;
-use pbgi_image::{Aov, AovNames, AttributeValue, Image};
+use pbgi_image::{Aov, AovNames, AttributeValue, Planes};
 use pbgi_light::Environment;
 use pbgi_math::{DVec3, Mat4, Vec3, Vec4};
 use pbgi_scene::CameraView;
@@ -26,41 +28,70 @@ pub(crate) fn channel_count(aovs: &[Aov]) -> usize {
     aovs.iter().map(|aov| names.channels(*aov).len()).sum()
 }
 
-/// The channels of a frame, growing from the top row down.
+/// Planes of the preview.
+pub(crate) fn preview_channel_count(is_lit: bool) -> usize {
+    preview_names(is_lit).len()
+}
+
+/// The channels of a frame, growing from the top row down by bands, which grow by windows.
 pub(crate) struct FrameImage {
-    width: usize,
-    height: usize,
-    planes: Vec<(Aov, Vec<Vec<f32>>)>,
-    preview: Vec<[f32; 3]>,
-    occlusion: Vec<f32>,
-    covered: Vec<bool>,
+    planes: Planes,
+    preview: Planes,
+    is_lit: bool,
+    names: AovNames,
+    /// Quantities, each with the number of its channels.
+    layout: Vec<(Aov, usize)>,
+    /// First row of the band under way.
+    band_row: u32,
+    /// Samples of the band under way, of each plane and then of each of the preview's.
+    band: Vec<Vec<f32>>,
     /// Whether reflected light of surfaces, and of the environment, is written without the albedo.
     without_color: [bool; 2],
 }
 
 impl FrameImage {
-    pub fn new(request: &FrameRequest<'_>) -> Self {
+    /// An empty image, in memory or in a scratch file in a folder.
+    ///
+    /// # Errors
+    ///
+    /// If the scratch file cannot be made.
+    pub fn new(
+        request: &FrameRequest<'_>,
+        is_lit: bool,
+        scratch: Option<&Path>,
+    ) -> Result<Self, PbgiError> {
         let (width, height) = (request.width as usize, request.height as usize);
-        let pixels = width * height;
-        let names = AovNames::default();
-        let planes = request.aovs.iter().map(|aov| {
-            let channels = names.channels(*aov).len();
-            (*aov, (0..channels).map(|_| Vec::with_capacity(pixels)).collect())
-        });
-        Self {
-            width,
-            height,
-            planes: planes.collect(),
-            preview: Vec::with_capacity(pixels),
-            occlusion: Vec::with_capacity(pixels),
-            covered: Vec::with_capacity(pixels),
+        let grow = |names: Vec<String>| match scratch {
+            Some(folder) => Planes::in_scratch(folder, width, height, names),
+            None => Ok(Planes::in_memory(width, height, names)),
+        };
+        let names = &request.names;
+        let layout = request.aovs.iter().map(|aov| (*aov, names.channels(*aov).len())).collect();
+        let planes = grow(request.aovs.iter().flat_map(|aov| names.channels(*aov)).collect())?;
+        let preview = grow(preview_names(is_lit))?;
+        let band = vec![Vec::new(); planes.names().len() + preview.names().len()];
+        Ok(Self {
+            planes,
+            preview,
+            is_lit,
+            names: names.clone(),
+            layout,
+            band_row: 0,
+            band,
             without_color: [Aov::DiffuseIndirect, Aov::DiffuseDirect]
-                .map(|aov| request.names.is_without_color(aov)),
-        }
+                .map(|aov| names.is_without_color(aov)),
+        })
     }
 
-    /// Appends the rows of `band`. `origin` is the world position of the origin of its coordinates.
-    pub fn append(
+    /// Starts a band of so many rows.
+    pub fn start_band(&mut self, row: u32, rows: u32) {
+        self.band_row = row;
+        let samples = self.planes.width() * rows as usize;
+        self.band.iter_mut().for_each(|plane| plane.resize(samples, 0.0));
+    }
+
+    /// Puts a window of the band where it belongs. `origin` is the world position of the origin of its coordinates.
+    pub fn put(
         &mut self,
         band: &Band,
         shadings: &[Shading],
@@ -81,54 +112,58 @@ impl FrameImage {
         let bent: Vec<[f32; NEAREST]> =
             coverage.resolve_nearest(|i| shadings[i].bent_normal.to_array(), [0.0; NEAREST]);
         let alpha = coverage.alpha();
+        let (columns, [x, y]) = (coverage.width() as usize, coverage.origin());
+        let first = (y - self.band_row) as usize * self.planes.width() + x as usize;
         for pixel in 0..coverage.pixel_count() {
             let surface = PixelSurface::new(band, pixel, view, origin);
             let values = &mixed[pixel];
-            self.preview.push([values[0], values[1], values[2]]);
-            self.occlusion.push(values[12]);
-            self.covered.push(alpha[pixel] > 0.5);
-            for (aov, channels) in &mut self.planes {
-                let (all, count) = match aov {
-                    Aov::Beauty => ([values[0], values[1], values[2], alpha[pixel]], 4),
-                    Aov::DiffuseIndirect => (with_zero(&values[3..6]), 3),
-                    Aov::DiffuseDirect => (with_zero(&values[17..20]), 3),
-                    Aov::SpecularIndirect => (with_zero(&values[14..17]), 3),
-                    Aov::Irradiance => (with_zero(&values[6..9]), 3),
-                    Aov::Albedo => (with_zero(&values[9..12]), 3),
-                    Aov::Occlusion => ([values[12], 0.0, 0.0, 0.0], 1),
-                    Aov::SkyVisibility => ([values[13], 0.0, 0.0, 0.0], 1),
-                    Aov::BentNormal => (with_zero(&bent[pixel]), 3),
-                    Aov::Position => (with_zero(&surface.position), 3),
-                    Aov::Normal => (with_zero(&surface.normal), 3),
-                    Aov::Depth => ([surface.depth, 0.0, 0.0, 0.0], 1),
-                    _ => ([0.0; 4], channels.len()),
+            let place = first + pixel / columns * self.planes.width() + pixel % columns;
+            let mut planes = self.band.iter_mut();
+            let mut set = |values: &[f32]| {
+                values.iter().zip(planes.by_ref()).for_each(|(value, plane)| plane[place] = *value);
+            };
+            for (aov, count) in &self.layout {
+                let all = match aov {
+                    Aov::Beauty => [values[0], values[1], values[2], alpha[pixel]],
+                    Aov::DiffuseIndirect => with_zero(&values[3..6]),
+                    Aov::DiffuseDirect => with_zero(&values[17..20]),
+                    Aov::SpecularIndirect => with_zero(&values[14..17]),
+                    Aov::Irradiance => with_zero(&values[6..9]),
+                    Aov::Albedo => with_zero(&values[9..12]),
+                    Aov::Occlusion => [values[12], 0.0, 0.0, 0.0],
+                    Aov::SkyVisibility => [values[13], 0.0, 0.0, 0.0],
+                    Aov::BentNormal => with_zero(&bent[pixel]),
+                    Aov::Position => with_zero(&surface.position),
+                    Aov::Normal => with_zero(&surface.normal),
+                    Aov::Depth => [surface.depth, 0.0, 0.0, 0.0],
+                    _ => [0.0; 4],
                 };
-                for (channel, value) in channels.iter_mut().zip(&all[..count]) {
-                    channel.push(*value);
-                }
+                set(&all.map(|value| self.names.value(*aov, value))[..*count]);
             }
+            set(if self.is_lit { &values[..3] } else { &values[12..13] });
+            set(&[f32::from(alpha[pixel] > 0.5)]);
         }
     }
 
-    /// What a preview shows, beauty or ambient occlusion, and where there are surfaces.
-    pub fn preview(&self, is_lit: bool) -> (Vec<[f32; 3]>, Vec<bool>) {
-        let preview = match is_lit {
-            true => self.preview.clone(),
-            false => self.occlusion.iter().map(|open| [*open; 3]).collect(),
-        };
-        (preview, self.covered.clone())
+    /// Appends the band, all of which is put.
+    ///
+    /// # Errors
+    ///
+    /// If the scratch file cannot be written.
+    pub fn finish_band(&mut self) -> Result<(), PbgiError> {
+        let (own, preview) = self.band.split_at(self.planes.names().len());
+        for (plane, samples) in own.iter().enumerate() {
+            self.planes.append(plane, samples)?;
+        }
+        for (plane, samples) in preview.iter().enumerate() {
+            self.preview.append(plane, samples)?;
+        }
+        Ok(())
     }
 
-    /// The image with the channels' names.
-    pub fn into_image(self, names: &AovNames) -> Image {
-        let mut image = Image::new(self.width, self.height);
-        for (aov, channels) in self.planes {
-            for (name, mut data) in names.channels(aov).into_iter().zip(channels) {
-                data.iter_mut().for_each(|value| *value = names.value(aov, *value));
-                image.push(name, data);
-            }
-        }
-        image
+    /// All channels and the preview.
+    pub fn finish(self) -> (Planes, Preview) {
+        (self.planes, Preview::new(self.preview, self.is_lit))
     }
 }
 
@@ -159,14 +194,14 @@ fn mixed_values(piece: &Piece, shading: &Shading, without_color: [bool; 2]) -> [
 }
 
 /// Geometry in the middle of a pixel, which cannot be averaged: that of its largest fragment.
-struct PixelSurface {
+pub(crate) struct PixelSurface {
     position: [f32; 3],
     normal: [f32; 3],
-    depth: f32,
+    pub depth: f32,
 }
 
 impl PixelSurface {
-    fn new(band: &Band, pixel: usize, view: &CameraView, origin: DVec3) -> Self {
+    pub fn new(band: &Band, pixel: usize, view: &CameraView, origin: DVec3) -> Self {
         let Some(fragment) = band.coverage.fragments(pixel).first() else {
             return Self { position: [0.0; 3], normal: [0.0; 3], depth: DEPTH_OF_NOTHING };
         };

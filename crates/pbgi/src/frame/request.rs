@@ -28,6 +28,9 @@ pub struct FrameRequest<'a> {
     pub aovs: Vec<Aov>,
     /// Names of the channels.
     pub names: AovNames,
+    /// A folder where rows that are done wait for the others where the memory limit does not hold them: in a file without a name.
+    /// Without one they are in memory.
+    pub scratch: Option<&'a Path>,
     /// Quality, light and resources.
     pub settings: ShadeSettings,
 }

@@ -5,6 +5,7 @@ pub(crate) mod surfaces;
 use crate::budget::split::MemorySplit;
 use crate::frame::camera_choice::{CameraChoice, CameraContext};
 use crate::frame::output::{channel_count, settings_attributes};
+use crate::frame::preview::Preview;
 use crate::frame::{Frame, layers_of};
 use crate::gbuffer::surfaces::{GBuffer, GBufferSpace};
 use crate::points::table_receivers::{RowRules, TableReceivers};
@@ -139,14 +140,12 @@ pub fn shade_gbuffer(
         true => passed_channels(gbuffer.channels, &image.image, &mut report.warnings),
         false => Vec::new(),
     };
-    let (window, covered) = (gbuffer.window, image.covered);
-    let preview = match is_lit {
-        true => image.beauty,
-        false => image.occlusion.iter().map(|open| [*open; 3]).collect(),
-    };
+    let window = gbuffer.window;
+    let size = [gbuffer.width, gbuffer.height];
+    let PixelImage { image, beauty, occlusion, covered, .. } = image;
+    let preview = Preview::of_pixels(size, is_lit, &beauty, occlusion, &covered);
     let layers = layers_of(&request.aovs, &request.names);
-    let image = image.image;
-    Ok(Frame { image, attributes, report, window, layers, passed, preview, covered, is_lit })
+    Ok(Frame { planes: image.into(), attributes, report, window, layers, passed, preview })
 }
 
 impl GBufferRequest<'_> {

@@ -139,6 +139,7 @@ impl Demo {
             shading_rate: self.shading_rate,
             aovs: FRAME_AOVS.to_vec(),
             names: Default::default(),
+            scratch: Some(&self.out),
             settings: ShadeSettings {
                 environment: Some(EnvironmentSpec::from_file(&sky_path)),
                 check_receivers: CHECK_RECEIVERS,

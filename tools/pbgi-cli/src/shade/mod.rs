@@ -212,11 +212,21 @@ fn picture(
         shading_rate: args.view.shading_rate,
         aovs,
         names: args.output_options.names(),
+        scratch: scratch_folder(&args.output),
         settings,
     };
     let mut report = write_frame(args, shade_frame(&request, progress, cancel)?)?;
     report.warnings.splice(0..0, warnings);
     Ok(report)
+}
+
+/// Where rows of a picture may wait on disk: beside it, if it is a file.
+fn scratch_folder(output: &Path) -> Option<&Path> {
+    if std::fs::metadata(output).is_ok_and(|found| !found.is_file()) {
+        return None;
+    }
+    let folder = output.parent()?;
+    Some(if folder.as_os_str().is_empty() { Path::new(".") } else { folder })
 }
 
 fn gbuffer(
