@@ -109,10 +109,14 @@ const BLOCK_ROWS: usize = 16;
 /// Times a block is held while it is compressed: as it comes, with its bytes in another order, and compressed.
 const BLOCK_COPIES: usize = 3;
 
-/// Bytes of memory that writing rows of `width` pixels with so many channels takes beside the image, at most.
+/// Bytes of memory that writing `height` rows of `width` pixels with so many channels takes beside the image, at most.
 #[must_use]
-pub fn exr_write_bytes(width: usize, channel_count: usize) -> usize {
-    WRITE_BYTES_MAX.max(block_bytes(width, channel_count) * BLOCK_COPIES)
+pub fn exr_write_bytes(width: usize, height: usize, channel_count: usize) -> usize {
+    let at_once = match compressor_threads(width, channel_count) {
+        0 => 1,
+        threads => threads + 2,
+    };
+    at_once.min(height.div_ceil(BLOCK_ROWS)) * block_bytes(width, channel_count) * BLOCK_COPIES
 }
 
 fn block_bytes(width: usize, channel_count: usize) -> usize {

@@ -414,7 +414,8 @@ impl FrameBytes {
             Some(_) => micropolygon_bytes(request),
             None => surfel_bytes(request, band, surfel_count),
         };
-        let writing = exr_write_bytes(request.width as usize, channels) as u64;
+        let writing =
+            exr_write_bytes(request.width as usize, request.height as usize, channels) as u64;
         Self { image: width * height * pixel, work: (band * pixel + window).max(writing) }
     }
 
