@@ -91,8 +91,8 @@ impl EnvironmentPyramid {
         self.variation
     }
 
-    /// Brightness, that of the brightest channel, of what lies in a cone around `direction`, of any length, whose half-angle has the squared sine `sin2`, or brightest just
-    /// beside it; W·m⁻²·sr⁻¹.
+    /// Brightness, that of the brightest channel, of what lies in a cone around `direction`, of any length, whose half-angle has the squared
+    /// sine `sin2`, or brightest just beside it; W·m⁻²·sr⁻¹.
     ///
     /// The level is the finest whose texels are as wide as the cone. Since a texel knows the eight around it, also over the edges of
     /// faces, light is never lost between texels or levels: it counts at least as the mean over the texel of that level it lies in.
