@@ -5,7 +5,8 @@
 use anyhow::{Context, Result, bail};
 use clap::Parser;
 use pbgi::{BakeRequest, Progress, bake};
-use pbgi_benches::{Line, plot, processor_seconds};
+use pbgi_benches::{Line, plot};
+use pbgi_file::platform::processor_seconds;
 use pbgi_gather::{GatherSettings, Receiver, Shading};
 use pbgi_image::compare;
 use pbgi_math::{Aabb, RootCube, Vec3};
@@ -176,9 +177,9 @@ impl Bench {
             },
             ..ShadeOptions::default()
         };
-        let before = processor_seconds();
+        let before = processor_seconds().unwrap_or_default();
         let (shadings, report) = shade_receivers(&octree, None, receivers, &options)?;
-        let processor_seconds = processor_seconds() - before;
+        let processor_seconds = processor_seconds().unwrap_or_default() - before;
         let pages = octree.pages().len();
         let cache = octree.stats();
         Ok((shadings, Measured { report, cache, cache_bytes, processor_seconds, pages }))

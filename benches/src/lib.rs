@@ -121,14 +121,6 @@ impl ThreadTimer {
     }
 }
 
-/// Seconds this process has run on processors, as Linux counts them in hundredths.
-#[must_use]
-pub fn processor_seconds() -> f64 {
-    let text = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    let fields = text.rsplit(')').next().unwrap_or_default().split_whitespace();
-    fields.skip(11).take(2).filter_map(|ticks| ticks.parse::<f64>().ok()).sum::<f64>() / 100.0
-}
-
 /// Nanoseconds the calling thread has run, as Linux counts them.
 fn processor_ns() -> Option<u64> {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;

@@ -59,6 +59,17 @@ impl Setting {
         }
     }
 
+    /// The light of a case's sky.
+    ///
+    /// # Errors
+    ///
+    /// If it is no environment.
+    pub fn light(&self, case: &Case) -> Result<Option<PreparedLight>> {
+        let Some(image) = case.sky.clone() else { return Ok(None) };
+        let environment = Environment::from_image(image, EnvironmentOptions::default())?;
+        Ok(Some(PreparedLight::new(&environment, self.raster_edge)))
+    }
+
     /// What tells it from others.
     pub fn label(&self, case: &Case) -> String {
         let sharpness = match case.gloss {
@@ -101,10 +112,7 @@ pub fn gather_all(
     places: &[(usize, Receiver)],
 ) -> Result<(Vec<Light>, f64)> {
     let settings = setting.gather(case);
-    let options = EnvironmentOptions::default();
-    let image = case.sky.clone();
-    let environment = image.map(|image| Environment::from_image(image, options)).transpose()?;
-    let light = environment.as_ref().map(|e| PreparedLight::new(e, settings.raster_edge));
+    let light = setting.light(case)?;
     let some = |places: &[(usize, Receiver)]| -> Result<(Vec<Light>, f64)> {
         let mut gatherer = Gatherer::new(octree.reader(), &settings, light.as_ref());
         // The first receiver pays for pages and tables.

@@ -24,6 +24,7 @@ use pbgi_gather::Receiver;
 use pbgi_store::Octree;
 use record::Records;
 use report::Row;
+use serde::Serialize;
 use std::path::{Path, PathBuf};
 use whole::WholeRow;
 
@@ -185,23 +186,46 @@ fn print_worst(
     }
 }
 
+/// A case by its name, or none, which is told, where its data are not there.
+fn find_case(arguments: &Arguments, name: &str) -> Result<Option<Case>> {
+    let folders = Folders { data: arguments.data.clone(), reference: arguments.reference.clone() };
+    let case = make_case(name, &folders).with_context(|| format!("case {name}"))?;
+    if case.is_none() {
+        println!("{name}: skipped, no data");
+    }
+    Ok(case)
+}
+
+/// Writes rows as JSON and their settings on record, where that is asked for.
+fn write_results<R: Serialize>(
+    arguments: &Arguments,
+    rows: &[R],
+    record: impl Fn(&mut Records, &R),
+) -> Result<()> {
+    if let Some(path) = &arguments.json {
+        std::fs::write(path, serde_json::to_string_pretty(rows)?)?;
+    }
+    if let Some(path) = &arguments.record {
+        let mut records = Records::default();
+        rows.iter().for_each(|row| record(&mut records, row));
+        records.write(path)?;
+    }
+    Ok(())
+}
+
 /// Measures the cases and draws them, if told to; with the captions of the pictures.
 fn run_all(
     arguments: &Arguments,
     pictures: Option<&Path>,
     temporary: &Path,
 ) -> Result<(Vec<Row>, Vec<String>)> {
-    let folders = Folders { data: arguments.data.clone(), reference: arguments.reference.clone() };
     let (mut rows, mut captions) = (Vec::new(), Vec::new());
     for name in &arguments.cases {
         if name == "scan" {
             captions.extend(scan::run(&arguments.data, temporary, pictures)?);
             continue;
         }
-        let Some(case) = make_case(name, &folders).with_context(|| format!("case {name}"))? else {
-            println!("{name}: skipped, no data");
-            continue;
-        };
+        let Some(case) = find_case(arguments, name)? else { continue };
         let sky = case.sky.clone().map(SkyImage::new);
         let caster = Caster::new(&case.scene, sky.as_ref());
         let surfels = arguments.surfels;
@@ -218,19 +242,15 @@ fn run_all(
 
 /// Shades whole pictures of the cases.
 fn run_whole(arguments: &Arguments, width: u32, temporary: &Path) -> Result<Vec<WholeRow>> {
-    let folders = Folders { data: arguments.data.clone(), reference: arguments.reference.clone() };
     let mut rows = Vec::new();
     println!("{}", whole::header());
     for name in arguments.cases.iter().filter(|name| *name != "scan") {
-        let Some(case) = make_case(name, &folders).with_context(|| format!("case {name}"))? else {
-            println!("{name}: skipped, no data");
-            continue;
-        };
+        let Some(case) = find_case(arguments, name)? else { continue };
         let sky = case.sky.clone().map(SkyImage::new);
         let caster = Caster::new(&case.scene, sky.as_ref());
-        let octree =
-            bake_case(&case, case.surfels(arguments.surfels), &temporary.join("scene.pbgi"))?;
-        let nth = arguments.nth_band.max(1);
+        let surfels = arguments.surfels;
+        let bench = Bench { case: &case, caster: &caster, surfels, folder: temporary };
+        let (octree, nth) = (bench.bake(1.0)?, arguments.nth_band.max(1));
         let of_case = whole::run(&case, &caster, &octree, width, nth, arguments.noise)
             .with_context(|| format!("case {name}"))?;
         of_case.iter().for_each(|row| println!("{row}"));
@@ -247,15 +267,9 @@ fn main() -> Result<()> {
         if let Some(docs) = &arguments.docs {
             page::replace(&docs.join("measuring.md"), "whole", &whole::table(&rows))?;
         }
-        if let Some(path) = &arguments.json {
-            std::fs::write(path, serde_json::to_string_pretty(&rows)?)?;
-        }
-        if let Some(path) = &arguments.record {
-            let mut records = Records::default();
-            rows.iter().for_each(|r| records.add(&r.scene, r.quantity, &r.engine, &r.rays));
-            records.write(path)?;
-        }
-        return Ok(());
+        return write_results(&arguments, &rows, |records, r| {
+            records.add(&r.scene, r.quantity, &r.engine, &r.rays);
+        });
     }
     println!("{}", report::HEADER);
     let images = arguments.docs.as_ref().map(|docs| docs.join("images"));
@@ -270,16 +284,10 @@ fn main() -> Result<()> {
         page::replace(&docs.join("measuring.md"), "errors", &report::error_table(&rows))?;
         page::replace(&docs.join("measuring.md"), "times", &report::time_table(&rows))?;
     }
-    if let Some(path) = &arguments.json {
-        std::fs::write(path, serde_json::to_string_pretty(&rows)?)?;
-    }
     if let Some(path) = &arguments.svg {
         std::fs::write(path, report::plot(&rows))?;
     }
-    if let Some(path) = &arguments.record {
-        let mut records = Records::default();
-        rows.iter().for_each(|r| records.add(&r.scene, r.quantity, &r.engine, &r.rays));
-        records.write(path)?;
-    }
-    Ok(())
+    write_results(&arguments, &rows, |records, r| {
+        records.add(&r.scene, r.quantity, &r.engine, &r.rays);
+    })
 }

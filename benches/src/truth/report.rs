@@ -50,13 +50,18 @@ pub struct Times {
 }
 
 impl Times {
-    fn at(error: f64, engine: &[Point], rays: &[Point]) -> Self {
+    pub fn at(error: f64, engine: &[Point], rays: &[Point]) -> Self {
         Self { error, engine: time_at(engine, error), rays: ray_time_at(rays, error) }
     }
 
     /// How many times as long rays take.
     pub fn factor(&self) -> Option<f64> {
         Some(self.rays? / self.engine?)
+    }
+
+    /// Both, and the factor, as text.
+    pub fn short(&self) -> [String; 3] {
+        [self.engine, self.rays, self.factor()].map(short)
     }
 }
 
@@ -132,7 +137,7 @@ impl fmt::Display for Row {
             short(self.factor()),
         )?;
         self.times.iter().try_for_each(|t| {
-            let [engine, rays, factor] = [t.engine, t.rays, t.factor()].map(short);
+            let [engine, rays, factor] = t.short();
             write!(f, " | {engine:>7} {rays:>8} {factor:>8}")
         })
     }
@@ -171,7 +176,7 @@ pub fn time_table(rows: &[Row]) -> String {
     for row in rows {
         let _ = write!(out, "\n| {} | {} |", row.scene, row.quantity);
         for times in &row.times {
-            let [engine, rays, factor] = [times.engine, times.rays, times.factor()].map(short);
+            let [engine, rays, factor] = times.short();
             let _ = write!(out, " {engine} | {rays} | {factor} |");
         }
     }

@@ -1,15 +1,15 @@
 //! A whole picture, as its user pays for it: every receiver, those that gather and those that do not, beside truth for a sample of them.
 
 use crate::cases::{Case, Light, Quantity};
-use crate::curve::{Point, ray_time_at, time_at};
+use crate::curve::Point;
 use crate::engine::{Setting, light_of};
 use crate::paths::{RayCurve, Truth, without_noise};
-use crate::report::short;
+use crate::report::Times;
 use anyhow::Result;
-use pbgi_benches::{Caster, processor_seconds};
-use pbgi_gather::{GatherSettings, PreparedLight, Receiver};
+use pbgi_benches::Caster;
+use pbgi_file::platform::processor_seconds;
+use pbgi_gather::{GatherSettings, Receiver};
 use pbgi_image::compare;
-use pbgi_light::{Environment, EnvironmentOptions};
 use pbgi_schedule::{Feed, KeptRecords, ScheduleError, ShadeOptions, shade_stream};
 use pbgi_store::Octree;
 use serde::Serialize;
@@ -41,11 +41,16 @@ pub struct WholeRow {
     pub rays: Vec<Point>,
 }
 
+impl WholeRow {
+    /// At [`ERROR`].
+    fn times(&self) -> Times {
+        Times::at(ERROR, &self.engine, &self.rays)
+    }
+}
+
 impl fmt::Display for WholeRow {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let [engine, rays] = [time_at(&self.engine, ERROR), ray_time_at(&self.rays, ERROR)];
-        let factor = engine.zip(rays).map(|(engine, rays)| rays / engine);
-        let [engine, rays, factor] = [engine, rays, factor].map(short);
+        let [engine, rays, factor] = self.times().short();
         write!(f, "{:16} {:10} {engine:>7} {rays:>7} {factor:>7} |", self.scene, self.quantity)?;
         self.engine.iter().zip(&self.gathers).try_for_each(|(point, gathers)| {
             let (us, error, share) = (point.microseconds, 100.0 * point.error, 100.0 * gathers);
@@ -132,13 +137,9 @@ fn shade(
     let tolerance = if case.gloss.is_some() { 0.0 } else { tolerance };
     let gather = GatherSettings { tolerance, ..setting.gather(case) };
     let options = ShadeOptions { gather, threads: 1, ..ShadeOptions::default() };
-    let image = case.sky.clone();
-    let environment = image
-        .map(|image| Environment::from_image(image, EnvironmentOptions::default()))
-        .transpose()?;
-    let light = environment.as_ref().map(|e| PreparedLight::new(e, setting.raster_edge));
+    let light = setting.light(case)?;
     let mut found = Vec::new();
-    let before = processor_seconds();
+    let before = processor_seconds().unwrap_or_default();
     let report = shade_stream(
         octree,
         light.as_ref(),
@@ -155,7 +156,7 @@ fn shade(
             Ok(())
         },
     )?;
-    let seconds = processor_seconds() - before;
+    let seconds = processor_seconds().unwrap_or_default() - before;
     Ok((found, seconds, report.cut_sizes.count))
 }
 
@@ -170,9 +171,7 @@ pub fn table(rows: &[WholeRow]) -> String {
         "---|".repeat(LADDER.len())
     );
     for row in rows {
-        let [engine, rays] = [time_at(&row.engine, ERROR), ray_time_at(&row.rays, ERROR)];
-        let factor = engine.zip(rays).map(|(engine, rays)| rays / engine);
-        let [engine, rays, factor] = [engine, rays, factor].map(short);
+        let [engine, rays, factor] = row.times().short();
         let _ =
             write!(out, "\n| {} | {} | {engine} | {rays} | {factor} |", row.scene, row.quantity);
         for (point, gathers) in row.engine.iter().zip(&row.gathers) {

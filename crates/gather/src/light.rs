@@ -58,8 +58,8 @@ impl PreparedLight {
         let flux = |peak: &EnvironmentPeak| peak.flux().into_iter().fold(0.0, f32::max);
         let all: f32 = environment.peaks().iter().map(flux).sum();
         let all = all + 4.0 * PI * pyramid.variation().mean;
-        let sum: f32 =
-            environment.peaks().iter().map(|peak| (flux(peak) / all).cbrt().powi(2)).sum();
+        let weight = |peak: &EnvironmentPeak| (flux(peak) / all).cbrt().powi(2);
+        let error = environment.peaks().iter().map(weight).sum::<f32>().sqrt();
         let peaks = environment.peaks().iter().map(|peak| {
             let texels = (0..peak.n * peak.n).map(|i| {
                 let (row, column) = (i / peak.n, i % peak.n);
@@ -72,7 +72,7 @@ impl PreparedLight {
                 texel_width: 2.0 * peak.half_width / peak.n as f32,
                 texels: texels.collect(),
                 sin_half_angle: half_diagonal / (1.0 + half_diagonal * half_diagonal).sqrt(),
-                relief: 1.0 / ((flux(peak) / all).cbrt().powi(2) * sum.sqrt()),
+                relief: 1.0 / (weight(peak) * error),
             }
         });
         Self {

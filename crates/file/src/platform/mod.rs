@@ -9,7 +9,9 @@ mod unix;
 #[cfg(windows)]
 mod windows;
 
-pub use process::{ProcessUse, peak_resident_bytes, process_use, resident_bytes};
+pub use process::{
+    ProcessUse, peak_resident_bytes, process_use, processor_seconds, resident_bytes,
+};
 #[cfg(unix)]
 pub use unix::*;
 #[cfg(windows)]

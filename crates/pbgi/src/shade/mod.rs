@@ -14,6 +14,7 @@ use crate::progress::Progress;
 use crate::shade::check::{CheckReport, CheckSample, PartReport};
 use crate::shade::statistics::{CacheReport, CutReport, LevelReport};
 use crate::shade::target::{Calibration, TargetReport};
+use pbgi_file::platform::{peak_resident_bytes, processor_seconds};
 use pbgi_format::{Channels, Header};
 use pbgi_gather::{
     GatherParts, GatherSettings, Gloss, ImportanceTerms, Material, PreparedLight, Receiver, Shading,
@@ -378,11 +379,6 @@ fn seconds_since(before: Option<f64>) -> Option<f64> {
     Some(processor_seconds()? - before?)
 }
 
-/// Processor seconds this process has used so far, where the system tells.
-fn processor_seconds() -> Option<f64> {
-    pbgi_file::platform::process_use().map(|used| used.user_seconds + used.system_seconds)
-}
-
 impl<'a> Session<'a> {
     /// Opens `path` with the cache that `memory` grants; besides the workers there may be
     /// `extra_readers`.
@@ -530,9 +526,14 @@ impl<'a> Session<'a> {
             },
         )?;
         self.records = records;
-        self.done.add(&report);
-        self.processor_shade += seconds_since(before).unwrap_or(0.0);
+        self.note(&report, before);
         Ok(shadings)
+    }
+
+    /// Adds what was done since the process had used so many processor seconds.
+    fn note(&mut self, report: &ScheduleReport, before: Option<f64>) {
+        self.done.add(report);
+        self.processor_shade += seconds_since(before).unwrap_or(0.0);
     }
 
     /// Shades receivers chunk by chunk as `fill` pushes them and hands them to `take` with their results, in the order of pushing, which
@@ -544,7 +545,7 @@ impl<'a> Session<'a> {
         mut take: impl FnMut(Shaded<'_, T>) -> Result<(), PbgiError>,
     ) -> Result<(), PbgiError> {
         let options = self.options(GatherParts::All, advance);
-        let Self { octree, light, sample, done, .. } = self;
+        let Self { octree, light, sample, .. } = self;
         let mut records = std::mem::take(&mut self.records);
         let take = |chunk: Shaded<'_, T>| {
             check_finite(chunk.receivers, &chunk.shadings)?;
@@ -553,8 +554,7 @@ impl<'a> Session<'a> {
         };
         let before = processor_seconds();
         let report = shade_stream(octree, light.as_ref(), &options, &mut records, fill, take)?;
-        done.add(&report);
-        self.processor_shade += seconds_since(before).unwrap_or(0.0);
+        self.note(&report, before);
         Ok(())
     }
 
@@ -594,7 +594,7 @@ impl<'a> Session<'a> {
             levels: LevelReport::all(&cut.levels),
             cache,
             memory: self.memory,
-            memory_peak_bytes: pbgi_file::platform::peak_resident_bytes(),
+            memory_peak_bytes: peak_resident_bytes(),
             check,
             empty_pixels: 0,
             surfels: self.octree.header().surfel_count,
