@@ -22,7 +22,7 @@ pub struct Piece {
     pub solid_angle: f32,
     /// Cosine between the plane's normal and the line of sight to its middle, without sign.
     pub cosine: f32,
-    /// Their radiance; 0 for backs.
+    /// Their radiance: of backs, that of what of a bent surface is still seen from its front, over all that is seen.
     pub radiance: [f32; 3],
     /// Where in the box it lies, seen along `axis`: all of the section where it is full.
     pub stencil: Stencil,
@@ -199,7 +199,8 @@ fn thin_loose(shown: &mut [Shown], lobes: &[KnownLobe], center: Vec3, half: Vec3
 /// Share of the backs' area that fronts must show to hide them.
 const HIDING: f32 = 0.7;
 
-/// Leaves out the backs where fronts show about as much: they are the far side of the same thing. Returns how many are left.
+/// Leaves out the backs where fronts show about as much: they are the far side of the same thing, and what of them is seen from its front shows at the
+/// fronts' rims. Returns how many are left.
 #[inline(always)]
 fn drop_backs(shown: &mut [Shown]) -> usize {
     let (mut fronts, mut backs) = (0.0, 0.0);
@@ -214,10 +215,24 @@ fn drop_backs(shown: &mut [Shown]) -> usize {
         return shown.len();
     }
     let mut kept = 0;
+    let (mut solid_angle, mut moved) = (0.0, [0.0; 3]);
     for index in 0..shown.len() {
-        if shown[index].is_front || shown[index].is_loose {
-            shown[kept] = shown[index];
+        let seen = shown[index];
+        if seen.is_front || seen.is_loose {
+            shown[kept] = seen;
             kept += 1;
+            solid_angle += if seen.is_loose { 0.0 } else { seen.piece.solid_angle };
+        } else {
+            for (moved, light) in moved.iter_mut().zip(seen.piece.radiance) {
+                *moved += light * seen.piece.solid_angle;
+            }
+        }
+    }
+    if moved != [0.0; 3] && solid_angle > 0.0 {
+        for seen in shown[..kept].iter_mut().filter(|seen| !seen.is_loose) {
+            for (light, moved) in seen.piece.radiance.iter_mut().zip(moved) {
+                *light += moved * (1.0 / solid_angle);
+            }
         }
     }
     kept
@@ -251,6 +266,8 @@ fn see_flat(known: &KnownLobe, point: Vec3) -> Option<Shown> {
     let across = point - normal * height;
     let height = if height.abs() < least { least } else { height };
     let mut solid_angle = if is_front { front } else { back } / distance2;
+    // Behind the mean plane of a bent surface, some of it still turns its front to the receiver.
+    let shining = if is_front { 1.0 } else { front / back };
     let along2 = known.variance.dot(across * across);
     solid_angle *= patch_solid_angle_factor(distance2, known.spread2, along2);
     if is_front {
@@ -262,7 +279,7 @@ fn see_flat(known: &KnownLobe, point: Vec3) -> Option<Shown> {
         inverse: normal * (1.0 / height),
         solid_angle,
         cosine: height.abs() * inverse_distance,
-        radiance: if is_front { lobe.radiance } else { [0.0; 3] },
+        radiance: lobe.radiance.map(|light| light * shining),
         stencil: lobe.stencil,
         axis,
         ..Piece::default()
@@ -524,6 +541,57 @@ mod tests {
         let shining = see_loose(receiver, &[Vec3::Y], 1.0, 0.0, 0.5);
         let piece = shining.pieces()[0];
         assert!((piece.solid_angle * 999.5f32.powi(2) - 0.5).abs() < 0.01, "{piece:?}");
+    }
+
+    /// A ball of radiance 1, its surface in four lobes as a builder sums it: caps around the corners of a tetrahedron.
+    #[test]
+    fn a_ball_shines_alike_to_all_sides() {
+        let bounds = Aabb { min: Vec3::ZERO, max: Vec3::ONE };
+        let corners = [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]]
+            .map(|corner| Vec3::from_array(corner).normalize());
+        let area = 1.0 / corners.len() as f32;
+        // What a cap's normals sum to is 0.70 of its area; with this width the mean it shows is a quarter of that.
+        let lobes = corners.map(|corner| {
+            let vector = corner * (0.7 * area);
+            let lobe = Lobe {
+                vector,
+                width: 0.3252 * area,
+                blocks_back: true,
+                radiance: [1.0; 3],
+                height: 0.4,
+                fill: 0.7,
+                ..Lobe::default()
+            };
+            assert!((mean_front(&lobe) / (0.25 * area) - 1.0).abs() < 0.01, "{}", mean_front(&lobe));
+            KnownLobe::new(&lobe, &bounds)
+        });
+        let mut sum = 0.0;
+        let directions: Vec<Vec3> = sphere(500).collect();
+        for direction in &directions {
+            let receiver = Vec3::splat(0.5) + *direction * 100.0;
+            let cluster = Cluster::from_lobes(-receiver, Vec3::ONE - receiver, &lobes, 1, receiver);
+            let flux: f32 = cluster.pieces().iter().map(|p| p.radiance[0] * p.solid_angle).sum();
+            // A quarter of the surface over the square of the distance.
+            let share = flux * 1e4 / 0.25;
+            assert!((share - 1.0).abs() < 0.12, "{direction}: {share}");
+            sum += share;
+        }
+        let mean = sum / directions.len() as f32;
+        assert!((mean - 1.0).abs() < 0.01, "{mean}");
+    }
+
+    /// Directions spread evenly.
+    fn sphere(count: u16) -> impl Iterator<Item = Vec3> {
+        (0..count).map(move |i| {
+            let z = -1.0 + 2.0 * (f32::from(i) + 0.5) / f32::from(count);
+            let (sin, cos) = (f32::from(i) * 2.399_963).sin_cos();
+            let radius = (1.0 - z * z).sqrt();
+            Vec3::new(radius * cos, radius * sin, z)
+        })
+    }
+
+    fn mean_front(lobe: &Lobe) -> f32 {
+        sphere(1000).map(|direction| lobe.front_area(direction)).sum::<f32>() / 1000.0
     }
 
     #[test]
