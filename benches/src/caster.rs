@@ -395,6 +395,12 @@ impl<'a> Caster<'a> {
     }
 }
 
+/// Share of uniform light that white microfacets of width α reflect at the first bounce. The engine puts back the rest.
+#[must_use]
+pub fn first_bounce(normal: Vec3, eye: Vec3, alpha: f32) -> f32 {
+    MicrofacetLobe { normal, eye, alpha }.first_bounce() as f32
+}
+
 /// What microfacets reflect toward an eye.
 struct MicrofacetLobe {
     normal: Vec3,

@@ -132,7 +132,7 @@ mod light_sampler;
 mod lit;
 mod svg;
 
-pub use caster::{BOUNCES_MAX, Caster, Gathered, Hit, PATHS_MAX};
+pub use caster::{BOUNCES_MAX, Caster, Gathered, Hit, PATHS_MAX, first_bounce};
 pub use light_sampler::{SkyImage, SkySample};
 pub use lit::{lit_surfels, read_sorted, reflected_radiance, scene_surfels};
 pub use svg::{Line, plot};

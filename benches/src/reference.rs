@@ -5,7 +5,9 @@
 
 use anyhow::{Context, Result};
 use clap::Parser;
-use pbgi_benches::{Caster, Gathered, SkyImage, ThreadTimer, bake, dice, reflected_radiance};
+use pbgi_benches::{
+    Caster, Gathered, SkyImage, ThreadTimer, bake, dice, first_bounce, reflected_radiance,
+};
 use pbgi_cloud::{ReceiverTable, Surfel};
 use pbgi_gather::{
     GatherParts, GatherSettings, Gloss, ImportanceTerms, Material, PreparedLight, Receiver, Shading,
@@ -186,7 +188,8 @@ impl Bench<'_> {
         self.report(what, &found, &self.rgb(&format!("ref_{what}"))?, &run)
     }
 
-    /// Reflections in the ground toward the camera, without a Fresnel term; the references name the width α of the slopes.
+    /// Reflections in the ground toward the camera, without a Fresnel term; the references name the width α of the slopes, and are of the first bounce at
+    /// microfacets alone.
     fn gloss(&self, octree: &Octree) -> Result<()> {
         let path = self.folder.join(format!("{}_ground_receivers.ply", self.name));
         let table = ReceiverTable::read(&path)?;
@@ -208,7 +211,12 @@ impl Bench<'_> {
             let bench = Bench { table: table.clone(), receivers, settings, ..*self };
             let (shadings, run) = bench.shade(octree, None)?;
             let found: Vec<f32> = shadings.iter().flat_map(|s| s.reflected).collect();
-            let truth = bench.rgb(column)?;
+            let mut truth = bench.rgb(column)?;
+            for (values, r) in truth.chunks_exact_mut(3).zip(&bench.receivers) {
+                let eye = (EMBERS_EYE - r.position).normalize();
+                let share = first_bounce(r.normal, eye, alpha);
+                values.iter_mut().for_each(|value| *value /= share);
+            }
             self.report(&column[4..], &found, &truth, &run)?;
             if self.rays > 0 {
                 let caster = Caster::new(self.scene, None);

@@ -537,6 +537,21 @@ mod tests {
     }
 
     #[test]
+    fn slivers_have_a_finite_size() {
+        let [near, thin, far] = [0x0909_0000, 0x0909_0909, 0x3f80_000b].map(f32::from_bits);
+        let ends = [Vec3::new(0.0, 0.0, near), Vec3::splat(thin), Vec3::new(thin, far, 0.0)];
+        let positions = ends.to_vec();
+        let mesh = Mesh { positions, triangles: vec![[0, 1, 2]], ..Mesh::default() };
+        for spacing in [Spacing::Length(1e-3), Spacing::Count(64), Spacing::Count(1000)] {
+            let scene = scene_of(mesh.clone(), Material::default());
+            let surfels = dice(&scene, spacing, TwoSided::None);
+            assert!(!surfels.is_empty());
+            let is_sized = |s: &Surfel| s.radius > 0.0 && s.radius.is_finite() && s.area > 0.0;
+            assert!(surfels.iter().all(is_sized), "{:?}", surfels.iter().find(|s| !is_sized(s)));
+        }
+    }
+
+    #[test]
     fn outlines_are_those_of_the_cells() {
         let mut mesh = square();
         mesh.triangles.truncate(1);

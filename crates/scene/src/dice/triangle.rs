@@ -378,6 +378,8 @@ impl DicedPatch<'_> {
         let area = ((cell.area() * opaque) as f32).max(f32::MIN_POSITIVE);
         for (k, side) in self.sides[..self.side_count].iter().enumerate() {
             let (Outline { orientation, flags }, radius) = self.outlines[piece].of(cell, area, k);
+            // What is so thin that its shape overflows is of no shape.
+            let radius = if radius.is_finite() { radius } else { area.sqrt() };
             let radius = radius.max(f32::MIN_POSITIVE);
             out.push(Surfel { position, radius, area, orientation, flags, ..*side });
         }
