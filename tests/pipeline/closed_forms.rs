@@ -206,7 +206,8 @@ fn a_zero_threshold_matches_rays_against_all_disks() {
     assert!(light_error.sqrt() < 0.15, "{}", light_error.sqrt());
 }
 
-/// A coarse cut comes near the exhaustive one, and nearer the finer it is.
+/// A coarse cut comes near the exhaustive one, and nearer the finer it is. What nodes do not know is how much of the boxes inside of them hides behind
+/// others: of this crowd, whose optical depth is 2, coarse nodes are a tenth too bright.
 #[test]
 fn error_falls_with_the_threshold() {
     let surfels = random_objects(5000, 0.02, 3);
@@ -225,8 +226,9 @@ fn error_falls_with_the_threshold() {
         }
         (sum / 30.0f32).sqrt()
     };
-    let (coarse, fine) = (error(0.1), error(0.003));
-    assert!(coarse < 0.1 && fine < 0.01 && fine < coarse, "{coarse} {fine}");
+    let [coarse, usual, fine] = [0.1, 0.04, 0.003].map(error);
+    assert!(fine < usual && usual < coarse, "{coarse} {usual} {fine}");
+    assert!(coarse < 0.13 && usual < 0.06 && fine < 0.01, "{coarse} {usual} {fine}");
 }
 
 /// An uneven ground of disks in shifted rows, cut apart along ragged lines by the boxes of its nodes, is as closed in a cut as it is surfel by
