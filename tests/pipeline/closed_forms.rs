@@ -192,11 +192,8 @@ fn a_zero_threshold_matches_rays_against_all_disks() {
     for (i, normal) in sphere_directions(12).enumerate() {
         let position = normal * (0.2 + 0.15 * i as f32);
         let found = gather(&octree, &settings, Receiver::diffuse(position, -normal));
-        // Surfels that know no rectangle are drawn as disks: solid ones cover a square lattice, sheets nearly.
-        let drawn = |s: &Surfel| {
-            let reserve = if s.is_front_only() { 1.1 } else { 1.25 };
-            s.radius.min(reserve * (s.area * FRAC_1_PI).sqrt())
-        };
+        // Surfels that know no rectangle are drawn as disks of their area; these have no neighbors.
+        let drawn = |s: &Surfel| s.radius.min((s.area * FRAC_1_PI).sqrt());
         let rays = ray_cast_gather(&surfels, position, -normal, 100_000, drawn);
         open_error += (found.ambient_occlusion - rays.ambient_occlusion).powi(2) / 12.0;
         let light = found.surface_irradiance[0] / rays.surface_irradiance[0] - 1.0;

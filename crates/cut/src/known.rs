@@ -288,6 +288,7 @@ impl<'a> NodeReader<'a> {
             let error = found.position_error(surfel.normal);
             self.surfels.push(CutSurfel::new(&surfel, error));
         }
+        join_disks(&self.centers[start as usize..], &mut self.surfels[start as usize..]);
         let number = self.leaves.len() as u32;
         self.leaves.push(KnownLeaf { start, count: found.count(), page: id, offset: place.0 });
         self.weigh();
@@ -410,5 +411,21 @@ impl KnownLeaf {
     #[inline(always)]
     pub fn seed(&self, index: u32) -> u32 {
         node_seed(self.page, self.offset + (index << 24), 0)
+    }
+}
+
+/// Lets disks at one place that face one way be as large as all of them together: what was halved there hides as before.
+fn join_disks(centers: &[Vec3], surfels: &mut [CutSurfel]) {
+    let mut start = 0;
+    for place in centers.chunk_by(|a, b| a == b) {
+        let here = &mut surfels[start..start + place.len()];
+        start += place.len();
+        if here.len() < 2 {
+            continue;
+        }
+        let areas: Vec<f32> = here.iter().map(|own| own.area_like_it(here)).collect();
+        for (surfel, area) in here.iter_mut().zip(areas) {
+            surfel.draw_area(area);
+        }
     }
 }

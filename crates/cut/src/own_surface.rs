@@ -30,7 +30,7 @@ fn reach_along(surfel: &CutSurfel, direction: Vec3) -> f32 {
         SurfelShape::Rectangle { edges: [u, v], half: [a, b] } => {
             a * u.dot(direction).abs() + b * v.dot(direction).abs()
         }
-        SurfelShape::Disk => {
+        SurfelShape::Disk { .. } => {
             // r sin(angle between the normals).
             let tilt = surfel.normal.dot(direction);
             surfel.radius * (1.0 - tilt * tilt).max(0.0).sqrt()
@@ -52,7 +52,7 @@ pub(crate) fn is_own_surface(surfel: &CutSurfel, center: Vec3, receiver: &CutRec
     {
         return false;
     }
-    if surfel.shape != SurfelShape::Disk {
+    if !matches!(surfel.shape, SurfelShape::Disk { .. }) {
         // What looks another way is no neighbor on a curved surface: it hides if it rises by more than rounding explains, its own and that of a
         // receiver that was such a surfel itself.
         let is_alike = surfel.normal.dot(plane) > 0.0;

@@ -2,12 +2,20 @@
 
 use pbgi_format::LeafSurfel;
 use pbgi_math::{Aabb, Vec3};
+use std::f32::consts::FRAC_1_PI;
 
 /// What a surfel stands for, relative to its center.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SurfelShape {
-    /// A disk that covers it.
-    Disk,
+    /// A disk.
+    Disk {
+        /// Its radius.
+        radius: f32,
+        /// The same of its rim.
+        rim: f32,
+        /// Share of it that covers.
+        opacity: f32,
+    },
     /// A rectangle: unit vectors along its edges, and half their lengths.
     Rectangle {
         /// Unit vectors, perpendicular to each other and to the normal.
@@ -53,6 +61,15 @@ pub const RECTANGLE_RIM: f32 = 0.04;
 /// longest edge 1.1 %, places 0.5 %).
 pub const TRIANGLE_RIM: f32 = 0.06;
 
+/// Least radius of a disk's rim over the disk's own, which has the area of what it stands for. Disks of a square lattice leave gaps up to 1.25 radii from
+/// their middles, those of a triangular one up to 1.16. Leaves of a thicket given as disks of known sizes, the columns of a plaza, and a closed room: with 1.25
+/// 3.6, 1.9 and 23 % of error of occlusion, with 1.4 4.7, 1.6 and 4.7 %, with 1.6 7.6, 2.2 and 4.6 %; larger by a quarter and without a rim 9.4, 3.3 and 4.9 %.
+const DISK_RIM: f32 = 1.4;
+
+/// Covering radius over area-true radius from which on a surfel is a needle: its disk keeps the covering radius and becomes
+/// transparent instead.
+const NEEDLE_RATIO: f32 = 2.2;
+
 /// Angle, in radians, by which codes of normals are off at most: of those that stand for rectangles and triangles, 0.07°.
 const NORMAL_ERROR: f32 = 1.25e-3;
 
@@ -65,10 +82,28 @@ impl CutSurfel {
         let rim = match self.shape {
             SurfelShape::Rectangle { .. } => RECTANGLE_RIM,
             SurfelShape::Triangle { .. } => TRIANGLE_RIM,
-            SurfelShape::Disk => return 0.0,
+            SurfelShape::Disk { .. } => return 0.0,
         };
         let tilt = self.normal.dot(plane);
         0.5 * rim * self.radius * (1.0 - tilt * tilt).max(0.0).sqrt()
+    }
+
+    /// Area of the disks among surfels at its place that face its way, its own included.
+    pub(crate) fn area_like_it(&self, here: &[Self]) -> f32 {
+        let is_like_it = |other: &&Self| {
+            matches!(other.shape, SurfelShape::Disk { .. })
+                && self.isotropic == other.isotropic
+                && (self.isotropic || self.normal.dot(other.normal) > 0.0)
+        };
+        here.iter().filter(is_like_it).map(|other| other.area).sum()
+    }
+
+    /// Draws it, if it is a disk, as one of this area.
+    pub(crate) fn draw_area(&mut self, area: f32) {
+        if matches!(self.shape, SurfelShape::Disk { .. }) {
+            let (shape, rim) = disk(self.radius, area, self.isotropic);
+            (self.shape, self.reach) = (shape, box_around(self.normal, rim, self.isotropic));
+        }
     }
 
     /// A leaf's surfel, whose center the codes may have moved so far along its normal.
@@ -85,14 +120,37 @@ impl CutSurfel {
             let [a, b] = half.map(|half| half * (1.0 + RECTANGLE_RIM));
             let reach = edges[0].abs() * a + edges[1].abs() * b;
             (SurfelShape::Rectangle { edges, half }, [-reach, reach])
-        } else if isotropic {
-            (SurfelShape::Disk, [-Vec3::splat(radius), Vec3::splat(radius)])
         } else {
-            let Aabb { min, max } = Aabb::from_disk(Vec3::ZERO, normal, radius);
-            (SurfelShape::Disk, [min, max])
+            let (shape, rim) = disk(radius, area, isotropic);
+            (shape, box_around(normal, rim, isotropic))
         };
         let arithmetic = 4.0 * f32::EPSILON * surfel.center.abs().max_element();
         let rounding = position_error + NORMAL_ERROR * radius + arithmetic;
         Self { normal, radius, area, shape, rounding, reach, radiance, isotropic, front_only }
     }
+}
+
+/// Corners of a box around a disk's rim; an isotropic one turns to the receiver.
+#[inline(always)]
+fn box_around(normal: Vec3, rim: f32, isotropic: bool) -> [Vec3; 2] {
+    if isotropic {
+        return [Vec3::splat(-rim), Vec3::splat(rim)];
+    }
+    let Aabb { min, max } = Aabb::from_disk(Vec3::ZERO, normal, rim);
+    [min, max]
+}
+
+/// The disk that a surfel is drawn as, of this covering radius and this area, and how far it reaches. Where neighbors overlap in their rims their surface
+/// goes on, up to the radius at which they cover it together; a particle has no neighbors.
+#[inline(always)]
+fn disk(radius: f32, area: f32, isotropic: bool) -> (SurfelShape, f32) {
+    let shown = if isotropic { 0.5 * area } else { area };
+    let own = (shown * FRAC_1_PI).sqrt();
+    if radius > NEEDLE_RATIO * own {
+        let opacity = (own / radius).powi(2);
+        return (SurfelShape::Disk { radius, rim: radius, opacity }, radius);
+    }
+    let own = radius.min(own);
+    let rim = if isotropic { own } else { radius.max(DISK_RIM * own) };
+    (SurfelShape::Disk { radius: own, rim, opacity: 1.0 }, rim)
 }

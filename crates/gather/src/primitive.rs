@@ -5,7 +5,7 @@ use pbgi_cut::{
     TRIANGLE_RIM,
 };
 use pbgi_math::{Vec3, patch_solid_angle_factor};
-use pbgi_raster::{Disk, Ink, Section, Shape, Tile, Triangle, Veil};
+use pbgi_raster::{Disk, Ink, Place, Section, Shape, Tile, Triangle, Veil};
 use std::f32::consts::FRAC_1_PI;
 
 /// Disks that lie along the receiver's own surface are not hit nearer than this many radii: the
@@ -26,17 +26,10 @@ fn least_distance(surfel: &CutSurfel, center: Vec3, normal: Vec3) -> f32 {
     if is_alike && !is_other { OWN_SURFACE_RADII * surfel.radius } else { 0.0 }
 }
 
-/// Radius of a solid surfel's disk over that of the disk of its area: covers a square lattice. Surfels at the edges of boxes and
-/// boards know their rectangle and are not drawn as disks.
-const SOLID_RESERVE: f32 = 1.25;
-
-/// The same for sheets, whose edges are many: covering disks reach out of every edge of a leaf by a fifth of a
-/// micropolygon, which blocks a quarter too much in foliage. At 1.1 a fortieth of a square lattice stays open.
-const SHEET_RESERVE: f32 = 1.1;
-
-/// Covering radius over area-true radius from which on a surfel is a needle: its disk keeps the covering radius and becomes
-/// transparent instead.
-const NEEDLE_RATIO: f32 = 2.2;
+/// How much nearer or farther than a disk its neighbors may be, in radii of its rim: those of one surface seen at a grazing angle are two apart, and with
+/// them come the ones before and behind them in the same texel. With 2 a closed room of disks has an error of 7.7 %, with 3 of 5.7 %, with 5 of 4.9 %, and
+/// without a bound a crowd of a million disks hides 7 % too much.
+const NEIGHBOR_REACHES: f32 = 4.0;
 
 /// Share of a piece's extent by which planes of neighbors on the same surface may lie before its own and not hide it.
 const PIECE_DEPTH: f32 = 0.15;
@@ -105,30 +98,31 @@ pub(crate) fn draw_surfel<P: SurfelPen>(seen: &SurfelSeen<'_>, plane: Vec3, pen:
             let tile = Tile { inverse, center, edges, half, reach, ground, side: side(seen) };
             pen.draw(seen, &tile, &Outline { normal, opacity, extent: half[0] });
         }
-        SurfelShape::Disk => {
-            let (disk, normal, opacity) = surfel_disk(seen, plane);
-            pen.draw(seen, &disk, &Outline { normal, opacity, extent: disk.radius });
+        &SurfelShape::Disk { radius, rim, opacity } => {
+            let (disk, normal) = surfel_disk(seen, plane, [radius, rim]);
+            pen.draw(seen, &disk, &Outline { normal, opacity, extent: radius });
         }
     }
 }
 
-/// The disk a surfel is drawn as, its normal, and its opacity. An isotropic one turns to the receiver.
+/// The disk a surfel is drawn as, and its normal. An isotropic one turns to the receiver.
 #[inline(always)]
-fn surfel_disk(seen: &SurfelSeen<'_>, receiver_normal: Vec3) -> (Disk, Vec3, f32) {
+fn surfel_disk(
+    seen: &SurfelSeen<'_>,
+    receiver_normal: Vec3,
+    [radius, reach]: [f32; 2],
+) -> (Disk, Vec3) {
     let &SurfelSeen { surfel, center, .. } = seen;
-    let area_true = (shown_area(surfel) * FRAC_1_PI).sqrt();
-    let is_sheet = surfel.front_only || surfel.isotropic;
-    let reserve = if is_sheet { SHEET_RESERVE } else { SOLID_RESERVE };
-    let (mut radius, mut opacity) = (surfel.radius.min(reserve * area_true), 1.0);
-    if surfel.radius > NEEDLE_RATIO * area_true {
-        radius = surfel.radius;
-        opacity = (SHEET_RESERVE * area_true / radius).powi(2);
-    }
     let normal =
         if surfel.isotropic { center * (-1.0 / seen.distance2.sqrt()) } else { surfel.normal };
     let inverse = normal * (1.0 / normal.dot(center));
     let distance_min = least_distance(surfel, center, receiver_normal);
-    (Disk { inverse, center, radius, distance_min }, normal, opacity)
+    let (ground, side) = (ground(seen, receiver_normal), side(seen));
+    let [x, y, z] = center.to_array().map(f32::to_bits);
+    // Disks at one place have the same number; that neighbors do is rare.
+    let number = x ^ y.rotate_left(11) ^ z.rotate_left(22);
+    let place = Place { number, distance: seen.distance2.sqrt(), apart: NEIGHBOR_REACHES * reach };
+    (Disk { inverse, center, radius, reach, distance_min, ground, side, place }, normal)
 }
 
 /// Which side of a surfel is seen: 0 for its front, 1 for its back.
@@ -189,7 +183,7 @@ pub(crate) fn surfel_solid_angle(seen: &SurfelSeen<'_>) -> f32 {
             let [u, v] = edges.map(|edge| edge.dot(center));
             (a + b, a * u * u + b * v * v)
         }
-        SurfelShape::Disk => {
+        SurfelShape::Disk { .. } => {
             let variance = area * (0.25 * FRAC_1_PI);
             (2.0 * variance, variance * (distance2 - height * height))
         }

@@ -618,7 +618,7 @@ impl CubeRaster {
         let [r0, r1] = range.rows.map(usize::from);
         for (number, (shape, ink)) in shapes.iter().enumerate() {
             let shape = shape.turned(face);
-            let (inverse, side) = (shape.inverse(), shape.side());
+            let inverse = shape.inverse();
             let opaque = ink.veil.is_opaque();
             let nearer = L::splat(1.0 + ink.tolerance);
             let mut met_here = 0;
@@ -637,7 +637,7 @@ impl CubeRaster {
                     let x = self.sample_columns::<L>(column);
                     let w = w_row.add(L::splat(inverse.y).mul(x));
                     let met = shape.meets([L::splat(1.0), x, y], w);
-                    let met = met.close(side, &mut self.rims[index]);
+                    let met = met.close(&shape, &mut self.rims[index]);
                     column += 1;
                     if met == 0 {
                         continue;

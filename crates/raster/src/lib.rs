@@ -20,7 +20,7 @@ pub use cube::{
 pub use lanes::{Lanes, SAMPLES};
 pub use lobe::{LobeInk, LobeRaster};
 pub use samples::Veil;
-pub use shape::{Disk, Met, Section, Shape, Tile, Triangle};
+pub use shape::{Disk, Met, Place, Section, Shape, Tile, Triangle};
 pub use simd::{SimdLevel, WideKernel, run_wide};
 pub use table::{CubeRasterTable, LANES};
 pub use window::{Window, WindowRaster};

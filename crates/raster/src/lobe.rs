@@ -142,7 +142,7 @@ impl LobeRaster {
     /// meets none does not shine yet: see [`Self::shine`].
     #[inline(always)]
     pub fn draw<L: Lanes, S: Shape>(&mut self, shape: &S, ink: &LobeInk) -> bool {
-        let (inverse, side) = (shape.inverse(), shape.side());
+        let inverse = shape.inverse();
         let nearer = L::splat(1.0 + ink.tolerance);
         let share = L::splat(ink.veil.share_of_rest());
         let is_whole = ink.is_whole();
@@ -163,7 +163,7 @@ impl LobeRaster {
                     .mul(L::splat(inverse.x))
                     .add(d[1].mul(L::splat(inverse.y)))
                     .add(d[2].mul(L::splat(inverse.z)));
-                let met = shape.meets(d, w).close(side, &mut self.rims[group]) & self.used[group];
+                let met = shape.meets(d, w).close(shape, &mut self.rims[group]) & self.used[group];
                 if met == 0 {
                     continue;
                 }
@@ -337,7 +337,7 @@ mod tests {
 
     fn disk(x: f32, z: f32, radius: f32) -> Disk {
         let center = Vec3::new(x, 0.0, z);
-        Disk { inverse: Vec3::NEG_Z / -z, center, radius, distance_min: 0.0 }
+        Disk { inverse: Vec3::NEG_Z / -z, center, radius, reach: radius, ..Disk::default() }
     }
 
     fn draw(raster: &mut LobeRaster, disk: Disk, ink: &LobeInk) -> bool {

@@ -14,11 +14,37 @@ pub trait Shape: Copy {
     fn side(&self) -> usize {
         0
     }
+    /// Where it is, to tell it from its neighbors and these from what is not on its surface.
+    fn place(&self) -> Place {
+        Place::ANY
+    }
     /// The same shape in the coordinates (depth, u, v) of a cube face.
     #[must_use]
     fn turned(&self, face: CubeFace) -> Self;
     /// Which of sixteen directions, with their `w`, meet the shape.
     fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> Met;
+}
+
+/// Where a shape is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Place {
+    /// Tells places apart; those of shapes that are alone where they are need not be told apart, and have 0.
+    pub number: u32,
+    /// From the receiver.
+    pub distance: f32,
+    /// How much nearer or farther its neighbors may be.
+    pub apart: f32,
+}
+
+impl Place {
+    /// That of what is alone where it is, and whose rim is too narrow for others than its neighbors to be in.
+    pub const ANY: Self = Self { number: 0, distance: 0.0, apart: f32::INFINITY };
+}
+
+impl Default for Place {
+    fn default() -> Self {
+        Self::ANY
+    }
 }
 
 /// Which of sixteen directions meet a shape.
@@ -30,8 +56,18 @@ pub struct Met {
     pub rim: u16,
 }
 
-/// Directions in the rims of what was drawn so far, by the side that it turns to the receiver: front and back.
-pub(crate) type Rims = [u16; 2];
+/// Directions in the rims of what was drawn so far on one side, front or back.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct SideRims {
+    /// Those of all but the last place at which something was drawn.
+    others: u16,
+    /// Those of what was drawn at the last place.
+    last: u16,
+    place: Place,
+}
+
+/// The same by the side that shapes turn to the receiver: front and back.
+pub(crate) type Rims = [SideRims; 2];
 
 impl Met {
     /// Without a rim.
@@ -53,15 +89,23 @@ impl Met {
 
     /// What the shape covers: the inside of its outline, and of its rim what another's rim has, too. Between neighbors on a surface there is no gap,
     /// and over the end of a surface, where no neighbor is, nothing reaches. The faces of a solid at its outline, of which one is seen from
-    /// behind, are no neighbors.
+    /// behind, are no neighbors; nor is what lies at the shape's own place.
     #[inline(always)]
-    pub(crate) fn close(self, side: usize, rims: &mut Rims) -> u16 {
+    pub(crate) fn close<S: Shape>(self, shape: &S, rims: &mut Rims) -> u16 {
         if self.rim == 0 {
             return self.inside;
         }
-        let closed = self.rim & rims[side];
-        rims[side] |= self.rim;
-        self.inside | closed
+        let (rims, place) = (&mut rims[shape.side()], shape.place());
+        if (place.distance - rims.place.distance).abs() > place.apart {
+            // Another surface, before it or behind.
+            (rims.others, rims.last) = (0, 0);
+        } else if place.number == Place::ANY.number || place.number != rims.place.number {
+            rims.others |= rims.last;
+            rims.last = 0;
+        }
+        rims.place = place;
+        rims.last |= self.rim;
+        self.inside | (self.rim & rims.others)
     }
 }
 
@@ -163,7 +207,7 @@ impl Shape for Section {
 }
 
 /// An oriented disk, relative to the receiver.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Disk {
     /// See [`Shape::inverse`].
     pub inverse: Vec3,
@@ -171,8 +215,16 @@ pub struct Disk {
     pub center: Vec3,
     /// Radius.
     pub radius: f32,
+    /// The same of its rim.
+    pub reach: f32,
     /// Points of it nearer than this are not there.
     pub distance_min: f32,
+    /// See [`Tile::ground`].
+    pub ground: Vec3,
+    /// See [`Shape::side`].
+    pub side: u8,
+    /// See [`Shape::place`].
+    pub place: Place,
 }
 
 impl Shape for Disk {
@@ -183,7 +235,22 @@ impl Shape for Disk {
 
     #[inline(always)]
     fn turned(&self, face: CubeFace) -> Self {
-        Self { inverse: turn(self.inverse, face), center: turn(self.center, face), ..*self }
+        Self {
+            inverse: turn(self.inverse, face),
+            center: turn(self.center, face),
+            ground: turn(self.ground, face),
+            ..*self
+        }
+    }
+
+    #[inline(always)]
+    fn side(&self) -> usize {
+        usize::from(self.side)
+    }
+
+    #[inline(always)]
+    fn place(&self) -> Place {
+        self.place
     }
 
     /// The point `D/w` is on the disk where `|D − c w|² ≤ r² w²`, and far enough where `|D|² ≥ d² w²`.
@@ -193,11 +260,12 @@ impl Shape for Disk {
         let cx = x.sub(w.mul(L::splat(self.center.x)));
         let cy = y.sub(w.mul(L::splat(self.center.y)));
         let cz = z.sub(w.mul(L::splat(self.center.z)));
-        let w2 = w.mul(w);
-        let on_disk = length2(cx, cy, cz).le(w2.mul(L::splat(self.radius * self.radius)));
+        let (off2, w2) = (length2(cx, cy, cz), w.mul(w));
+        let on_disk = L::bits(off2.le(w2.mul(L::splat(self.radius * self.radius))));
+        let in_reach = L::bits(off2.le(w2.mul(L::splat(self.reach * self.reach))));
         let in_front = L::splat(0.0).le(w);
-        let is_there = L::and(is_far(direction, w, self.distance_min), in_front);
-        Met::inside(L::bits(L::and(on_disk, is_there)))
+        let is_there = L::bits(L::and(is_far(direction, w, self.distance_min), in_front));
+        Met::within([on_disk & is_there, in_reach & is_there], direction, w, self.ground)
     }
 }
 

@@ -99,7 +99,7 @@ impl WindowRaster {
     /// Draws a shape: texels whose middle meets it are covered, as far as the veil does.
     #[inline(always)]
     pub fn draw<L: Lanes, S: Shape>(&mut self, window: &Window, shape: &S, veil: &Veil) {
-        let (inverse, side) = (shape.inverse(), shape.side());
+        let inverse = shape.inverse();
         let mut open = 0;
         for (group, (covered, d)) in self.covered.iter_mut().zip(&window.directions).enumerate() {
             if *covered == u16::MAX {
@@ -110,7 +110,7 @@ impl WindowRaster {
                 .mul(L::splat(inverse.x))
                 .add(d[1].mul(L::splat(inverse.y)))
                 .add(d[2].mul(L::splat(inverse.z)));
-            let met = shape.meets(d, w).close(side, &mut self.rims[group]);
+            let met = shape.meets(d, w).close(shape, &mut self.rims[group]);
             *covered |= if veil.is_opaque() { met } else { met & veil.samples(group) };
             open |= !*covered;
         }
@@ -136,7 +136,13 @@ mod tests {
     }
 
     fn disk(center: Vec3, normal: Vec3, radius: f32) -> Disk {
-        Disk { inverse: normal / center.dot(normal), center, radius, distance_min: 0.0 }
+        Disk {
+            inverse: normal / center.dot(normal),
+            center,
+            radius,
+            reach: radius,
+            ..Disk::default()
+        }
     }
 
     #[test]

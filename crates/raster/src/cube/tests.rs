@@ -3,7 +3,7 @@
 use super::*;
 use crate::lanes::Plain;
 use crate::shape::Met;
-use crate::{Disk, Section, SimdLevel, Tile, Triangle, WideKernel, run_wide};
+use crate::{Disk, Place, Section, SimdLevel, Tile, Triangle, WideKernel, run_wide};
 use pbgi_math::Aabb;
 use std::f32::consts::PI;
 
@@ -39,7 +39,7 @@ fn disk_irradiance(n: usize, center: Vec3, normal: Vec3, receiver_normal: Vec3) 
     let mut raster = CubeRaster::new(&table, true);
     raster.clear::<Plain>(receiver_normal);
     let inverse = normal / normal.dot(center);
-    let disk = Disk { inverse, center, radius: 1.0, distance_min: 0.0 };
+    let disk = Disk { inverse, center, radius: 1.0, reach: 1.0, ..Disk::default() };
     let aabb = Aabb::from_disk(center, normal, 1.0);
     let footprint = raster.footprint(aabb.min, aabb.max);
     raster.draw::<Plain, _>(&[(disk, ink(1.0, 1.0))], &footprint, center);
@@ -107,7 +107,7 @@ fn small_pieces_carry_their_solid_angle_wherever_they_fall() {
             let d = Vec3::new(r * phi.cos(), r * phi.sin(), z);
             raster.clear::<Plain>(d);
             let (center, solid_angle) = (d * 5.0, PI * radius * radius / 25.0);
-            let disk = Disk { inverse: d / 5.0, center, radius, distance_min: 0.0 };
+            let disk = Disk { inverse: d / 5.0, center, radius, reach: radius, ..Disk::default() };
             let aabb = Aabb::from_disk(center, d, radius);
             let footprint = raster.footprint(aabb.min, aabb.max);
             raster.draw::<Plain, _>(&[(disk, ink(solid_angle, 1.0))], &footprint, center);
@@ -241,9 +241,52 @@ fn rims_end_where_the_surface_does() {
     assert!(over * 500 < exact, "{over} of {exact}");
 
     // A wall's upper end, and its top, seen from below: over both is the same strip of sky.
-    let met = |side: usize, rims: &mut Rims| Met { inside: 1, rim: 2 }.close(side, rims);
+    let met = |side: u8, place: Place, rims: &mut Rims| {
+        Met { inside: 1, rim: 2 }.close(&Disk { side, place, ..Disk::default() }, rims)
+    };
     let mut rims = Rims::default();
-    assert_eq!([met(0, &mut rims), met(1, &mut rims), met(0, &mut rims)], [1, 1, 3]);
+    assert_eq!([0, 1, 0].map(|side| met(side, Place::ANY, &mut rims)), [1, 1, 3]);
+    // What lies at the same place is no neighbor, what lies at another is; what is far behind both is none.
+    let mut rims = Rims::default();
+    let place = |number: u32| Place { number, distance: 5.0 + 0.01 * number as f32, apart: 0.2 };
+    let places = [7, 7, 8, 8, 7, 90, 91].map(|number| met(0, place(number), &mut rims));
+    assert_eq!(places, [1, 1, 3, 3, 3, 1, 3]);
+}
+
+/// Disks of a square lattice, each with the area of its cell, leave no gap; over the ends of the lattice they reach by less than half of what disks
+/// without gaps would.
+#[test]
+fn a_lattice_of_disks_is_closed_and_ends_where_it_ends() {
+    let table = CubeRasterTable::new(16);
+    let (step, count) = (0.25f32, 8);
+    let own = step / PI.sqrt();
+    // Samples of the face above, which the lattice fills, and of the others.
+    let covered = |radius: f32, reach: f32| {
+        let mut raster = CubeRaster::new(&table, false);
+        raster.clear::<Plain>(Vec3::Y);
+        for cell in 0..count * count {
+            let [x, z] = [cell % count, cell / count].map(|i| (i as f32 - 3.5) * step);
+            let center = Vec3::new(x, 1.0, z);
+            let ground = Vec3::Y * 1e9;
+            let place = Place { number: cell + 1, distance: center.length(), apart: 2.0 * reach };
+            let inverse = Vec3::Y;
+            let disk = Disk { inverse, center, radius, reach, ground, place, ..Disk::default() };
+            let footprint = raster.footprint(center - reach, center + reach);
+            raster.draw::<Plain, _>(&[(disk, ink(0.01, 0.0))], &footprint, center);
+        }
+        let start = usize::from(CubeFace::from_direction(Vec3::Y).0.0) * 16 * table.stride();
+        let samples = raster.covered.iter().zip(&raster.above).map(|(c, a)| (c & a).count_ones());
+        let all: u32 = samples.clone().sum();
+        let above: u32 = samples.skip(start).take(16 * table.stride()).sum();
+        [above, all - above]
+    };
+    let [bare, closed, large] = [[1.0, 1.0], [1.0, 1.4], [1.26, 1.26]]
+        .map(|[radius, reach]| covered(radius * own, reach * own));
+    let whole = 16 * 16 * 16;
+    assert!(bare[0] < whole * 97 / 100, "{bare:?}");
+    // Its four corners are in one rim each.
+    assert_eq!([closed[0], large[0]], [whole - 4, whole]);
+    assert!(2 * closed[1] < large[1], "{bare:?} {closed:?} {large:?}");
 }
 
 #[test]
@@ -434,7 +477,14 @@ impl WideKernel for Everything {
                     Tile { inverse, center, edges, half, reach, ground, side: (i % 2) as u8 };
                 raster.draw::<L, _>(&[(tile, ink)], &footprint, center);
             } else if i % 3 == 1 {
-                let disk = Disk { inverse, center, radius, distance_min: 0.5 };
+                let disk = Disk {
+                    inverse,
+                    center,
+                    radius,
+                    reach: radius,
+                    distance_min: 0.5,
+                    ..Disk::default()
+                };
                 raster.draw::<L, _>(&[(disk, ink)], &footprint, center);
             } else {
                 let section =

@@ -58,10 +58,7 @@ pub(super) const CASES: [HardCase; 17] = [
         about: "`sheets-1e-3`, 10⁻³ apart, as points whose sizes are not known",
         promise: 0.01,
         why: OUTLINE,
-        limit: Some(KnownLimit {
-            today: 0.37,
-            because: "sizes of points are estimated too small here and there, and 0.05 of them, as in facing-disk, is more than the sheets are apart",
-        }),
+        limit: None,
         measure: between_points,
     },
     HardCase {
@@ -149,10 +146,7 @@ pub(super) const CASES: [HardCase; 17] = [
         about: "a ceiling whose tiles face up and down in turns, black; openness below, as if they all faced down",
         promise: 0.01,
         why: OUTLINE,
-        limit: Some(KnownLimit {
-            today: 0.015,
-            because: "a node of two orientations shows each as a stencil of its own, whose cells are half covered",
-        }),
+        limit: None,
         measure: |engine| flipped_normals(engine, None),
     },
     HardCase {

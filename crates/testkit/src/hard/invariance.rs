@@ -2,7 +2,7 @@
 
 use super::scale::difference;
 use super::shapes::{Chance, crowd, sheet};
-use super::{CaseCloud, CaseReceiver, CaseScene, CaseSky, Engine, HardCase, KnownLimit, Refusal};
+use super::{CaseCloud, CaseReceiver, CaseScene, CaseSky, Engine, HardCase, Refusal};
 use pbgi_cloud::Surfel;
 use pbgi_math::{DVec3, Vec3};
 
@@ -40,10 +40,7 @@ pub(super) const CASES: [HardCase; 10] = [
         about: "each surfel of the crowd as two at its place with half its area; irradiance from surfels and openness of the whole ones",
         promise: 0.03,
         why: "areas sum to the same, and two alike at one place hide as one; outlines as for turned axes",
-        limit: Some(KnownLimit {
-            today: 0.17,
-            because: "a surfel whose outline is not known is drawn by its area, so that two halves at one place hide as one half does",
-        }),
+        limit: None,
         measure: halved,
     },
     HardCase {
