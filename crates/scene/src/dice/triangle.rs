@@ -18,17 +18,25 @@ const HOLE_SHARE_MIN: f64 = 0.3;
 /// Cells of a row that are skipped as one where all are holes.
 pub(super) const RUN_CELLS: u64 = 64;
 
+/// What looking at a cell takes, in what it takes to see that rows or a part of one are a hole.
+const CELL_LOOKS: u64 = 4;
+
 /// Counting that may have to end before it is done.
 pub(super) struct Work<'a> {
     stop: &'a AtomicBool,
-    /// Cells looked at so far, and how many may be.
+    /// Looks so far, and how many may be: a cell takes some, and what is one hole one.
     done: AtomicU64,
     most: u64,
 }
 
 impl<'a> Work<'a> {
-    pub fn new(stop: &'a AtomicBool, most: u64) -> Self {
-        Self { stop, done: AtomicU64::new(0), most }
+    pub fn new(stop: &'a AtomicBool, cells_max: u64) -> Self {
+        Self { stop, done: AtomicU64::new(0), most: cells_max.saturating_mul(CELL_LOOKS) }
+    }
+
+    /// Counts looks.
+    fn look(&self, looks: u64) {
+        self.done.fetch_add(looks, Ordering::Relaxed);
     }
 
     /// Whether more cells were looked at than may be. It does not depend on who looks at which.
@@ -304,7 +312,11 @@ impl DicedPatch<'_> {
     }
 
     fn count_rows(&self, piece: usize, rows: Range<u64>, work: &Work<'_>) -> u64 {
-        if rows.is_empty() || work.is_over() || self.are_holes(piece, rows.clone()) {
+        if rows.is_empty() || work.is_over() {
+            return 0;
+        }
+        work.look(1);
+        if self.are_holes(piece, rows.clone()) {
             return 0;
         }
         let lattice = &self.lattices.pieces[piece];
@@ -324,10 +336,14 @@ impl DicedPatch<'_> {
     }
 
     fn count_run(&self, piece: usize, row: u64, columns: Range<u64>, work: &Work<'_>) -> u64 {
-        if self.is_hole_run(piece, row, columns.clone()) {
+        if work.is_over() {
             return 0;
         }
-        work.done.fetch_add(columns.end - columns.start, Ordering::Relaxed);
+        if self.is_hole_run(piece, row, columns.clone()) {
+            work.look(1);
+            return 0;
+        }
+        work.look(CELL_LOOKS * (columns.end - columns.start));
         let mut count = 0;
         for column in columns {
             let cell = self.lattices.pieces[piece].cell(column, row);
