@@ -27,7 +27,7 @@ const CHUNK_CELLS: u64 = 1 << 18;
 
 /// Micropolygons of masked surfaces looked at to count surfels at one spacing, at most, and those for each surfel asked for. What is
 /// seen to be a hole as a whole counts as a quarter of one. Where so little is left between holes that more are needed, the spacing stays coarser.
-const COUNTED_CELLS_MAX: u64 = 1 << 20;
+const COUNTED_CELLS_MAX: u64 = 1 << 18;
 const COUNTED_CELLS_PER_SURFEL: u64 = 128;
 
 /// How fine to dice.
