@@ -474,6 +474,25 @@ mod tests {
         assert_eq!(read(&bytes).unwrap().1.len(), 875);
     }
 
+    #[test]
+    fn sizes_of_compressed_items_that_add_up_beyond_16_bits_are_refused() {
+        let mut bytes = file_of(&points(10, 0xff00), 2, (1, 4), true);
+        let user = bytes.windows(14).position(|b| b == b"laszip encoded").unwrap();
+        // The record's data are behind its user (16), number and length (4) and description (32); items are behind 34 bytes of them, each of a type, a
+        // size and a version.
+        let items = user + 16 + 4 + 32 + 34;
+        let size = |bytes: &[u8], item: usize| {
+            u16::from_le_bytes([bytes[items + 6 * item + 2], bytes[items + 6 * item + 3]])
+        };
+        assert_eq!([size(&bytes, 0), size(&bytes, 1)], [20, 6]);
+        // 65 536 more than they should be.
+        for (item, size) in [(0, 0xffffu16), (1, 27)] {
+            bytes[items + 6 * item + 2..][..2].copy_from_slice(&size.to_le_bytes());
+        }
+        let error = read(&bytes).unwrap_err().to_string();
+        assert!(error.contains("65562 bytes, expected 26"), "{error}");
+    }
+
     /// A COPC file begins with a record of its own, cuts its points into chunks of any length, and has its hierarchy
     /// behind them.
     fn copc_file_of(points: &[Point], chunks: &[usize]) -> Vec<u8> {

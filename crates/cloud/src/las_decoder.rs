@@ -73,12 +73,13 @@ fn open_compressed(
 ) -> Result<Points, CloudError> {
     let vlr = guard(path, || "header".into(), || header.laz_vlr())?;
     let point_bytes = u64::from(header.point_format().len());
-    if vlr.items_size() != point_bytes {
+    // Not by `items_size`, whose sum has 16 bits.
+    let item_bytes: u64 = vlr.items().iter().map(|item| u64::from(item.size())).sum();
+    if item_bytes != point_bytes {
         return Err(CloudError::malformed(
             path,
             format!(
-                "compressed points are {} bytes, expected {point_bytes} by the header",
-                vlr.items_size()
+                "compressed points are {item_bytes} bytes, expected {point_bytes} by the header"
             ),
         ));
     }
