@@ -88,6 +88,13 @@ impl CutSurfel {
         0.5 * rim * self.radius * (1.0 - tilt * tilt).max(0.0).sqrt()
     }
 
+    /// Area that it shows along its normal; an isotropic one half of its own in every direction.
+    #[must_use]
+    #[inline(always)]
+    pub fn shown_area(&self) -> f32 {
+        shown_area(self.area, self.isotropic)
+    }
+
     /// Area of the disks among surfels at its place that face its way, its own included.
     pub(crate) fn area_like_it(&self, here: &[Self]) -> f32 {
         let is_like_it = |other: &&Self| {
@@ -130,6 +137,12 @@ impl CutSurfel {
     }
 }
 
+/// Area that a surfel shows along its normal; an isotropic one half of its own in every direction.
+#[inline(always)]
+fn shown_area(area: f32, isotropic: bool) -> f32 {
+    if isotropic { 0.5 * area } else { area }
+}
+
 /// Corners of a box around a disk's rim; an isotropic one turns to the receiver.
 #[inline(always)]
 fn box_around(normal: Vec3, rim: f32, isotropic: bool) -> [Vec3; 2] {
@@ -144,8 +157,7 @@ fn box_around(normal: Vec3, rim: f32, isotropic: bool) -> [Vec3; 2] {
 /// goes on, up to the radius at which they cover it together; a particle has no neighbors.
 #[inline(always)]
 fn disk(radius: f32, area: f32, isotropic: bool) -> (SurfelShape, f32) {
-    let shown = if isotropic { 0.5 * area } else { area };
-    let own = (shown * FRAC_1_PI).sqrt();
+    let own = (shown_area(area, isotropic) * FRAC_1_PI).sqrt();
     if radius > NEEDLE_RATIO * own {
         let opacity = (own / radius).powi(2);
         return (SurfelShape::Disk { radius, rim: radius, opacity }, radius);

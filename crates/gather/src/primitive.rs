@@ -56,12 +56,6 @@ fn piece_tolerance(cluster: &Cluster, piece: &Piece) -> f32 {
     }
 }
 
-/// Area that a surfel shows along its normal; an isotropic one half of its own in every direction.
-#[inline(always)]
-pub(crate) fn shown_area(surfel: &CutSurfel) -> f32 {
-    if surfel.isotropic { 0.5 * surfel.area } else { surfel.area }
-}
-
 /// Draws the shapes of surfels.
 pub(crate) trait SurfelPen {
     /// Draws a surfel as a shape.
@@ -161,7 +155,7 @@ const NEAR_AREA: f32 = 0.003;
 #[inline(always)]
 pub(crate) fn surfel_solid_angle(seen: &SurfelSeen<'_>) -> f32 {
     let &SurfelSeen { surfel, center, distance2, .. } = seen;
-    let area = shown_area(surfel);
+    let area = surfel.shown_area();
     if surfel.isotropic {
         return area / distance2;
     }

@@ -63,7 +63,9 @@ pub(crate) struct SideRims {
     others: u16,
     /// Those of what was drawn at the last place.
     last: u16,
-    place: Place,
+    /// See [`Place`]: of the last one.
+    number: u32,
+    distance: f32,
 }
 
 /// The same by the side that shapes turn to the receiver: front and back.
@@ -96,14 +98,14 @@ impl Met {
             return self.inside;
         }
         let (rims, place) = (&mut rims[shape.side()], shape.place());
-        if (place.distance - rims.place.distance).abs() > place.apart {
+        if (place.distance - rims.distance).abs() > place.apart {
             // Another surface, before it or behind.
             (rims.others, rims.last) = (0, 0);
-        } else if place.number == Place::ANY.number || place.number != rims.place.number {
+        } else if place.number == Place::ANY.number || place.number != rims.number {
             rims.others |= rims.last;
             rims.last = 0;
         }
-        rims.place = place;
+        (rims.number, rims.distance) = (place.number, place.distance);
         rims.last |= self.rim;
         self.inside | (self.rim & rims.others)
     }
