@@ -271,9 +271,8 @@ pub(crate) mod tests {
                 Ink { veil: Veil::OPAQUE, solid_angle: 1.0, radiance: [3.0; 3], tolerance: 0.01 };
             self.0.clear::<L>(self.1);
             for &(inverse, low, high) in self.2 {
-                let footprint = self.0.footprint(low, high);
-                let section = Section { inverse, low, high, ..Section::default() };
-                self.0.draw::<L, _>(&[(section, ink)], &footprint, low + high);
+                self.0.look_at_box(low, high);
+                self.0.draw::<L, _>(&Section::new(inverse, low, high), &ink, low + high);
             }
         }
     }

@@ -1,10 +1,10 @@
 //! What a node shows to a receiver.
 
 use crate::lobe::{KnownLobe, thick_half};
-use pbgi_format::{LOBES_MAX, Lobe};
+use pbgi_format::LOBES_MAX;
 use pbgi_math::{
-    Stencil, Vec3, box_silhouette, central_section_area, patch_solid_angle_factor, scramble,
-    stencil_axis,
+    Stencil, Vec3, box_silhouette, central_section_area, larger, patch_solid_angle_factor,
+    scramble, stencil_axis,
 };
 
 /// A piece of a plane that stands for one lobe of a node.
@@ -61,30 +61,43 @@ fn loose_seed(node: u32, lobe: usize) -> u32 {
     scramble(node.wrapping_add((lobe as u32).wrapping_mul(0x9e37_79b9)))
 }
 
-/// A lobe as the receiver sees it.
+/// A lobe as the receiver sees it; of area 0 where it shows nothing that blocks.
 #[derive(Clone, Copy, Default)]
 struct Shown {
-    piece: Piece,
-    /// Its number among the node's.
-    lobe: usize,
+    /// See [`Piece::inverse`], [`Piece::solid_angle`] and [`Piece::cosine`].
+    inverse: Vec3,
+    solid_angle: f32,
+    cosine: f32,
     distance2: f32,
     /// Share of the section it covers.
     opacity: f32,
-    /// Area, front or back.
+    /// Area, front or back; of a loose one that of both sides that block.
     area: f32,
+    /// What its radiance is multiplied by.
+    shining: f32,
     is_sheet: bool,
     is_flat: bool,
     is_front: bool,
-    /// Its area is that of both sides that block.
     is_loose: bool,
 }
 
-impl Shown {
-    /// What does not depend on where it is seen from.
-    #[inline(always)]
-    fn of(lobe: &Lobe) -> Self {
-        let is_sheet = !lobe.blocks_back && !lobe.is_loose;
-        Self { is_sheet, is_loose: lobe.is_loose, ..Self::default() }
+/// The shown lobes of a node, by their numbers.
+type ShownLobes = [Shown; LOBES_MAX];
+
+/// Places of lobes in an order: squared distances, whose bits are ordered as they are, over numbers.
+type Order = [u64; LOBES_MAX];
+
+/// Place of a lobe that is not drawn.
+const NOT_DRAWN: u64 = u64::MAX;
+
+/// Sorts in few steps, none of which depends on what was found before.
+#[inline(always)]
+fn sort(order: &mut Order) {
+    const { assert!(LOBES_MAX == 4, "a network of four") };
+    for [a, b] in [[0, 1], [2, 3], [0, 2], [1, 3], [1, 2]] {
+        let (x, y) = (order[a], order[b]);
+        let is_less = x < y;
+        (order[a], order[b]) = if is_less { (x, y) } else { (y, x) };
     }
 }
 
@@ -107,56 +120,76 @@ impl Cluster {
     /// piece: only the largest flat lobe is taken as it is and the rest hides itself as a cloud of
     /// random pieces does, covering `1 − e^−τ` where its area is `τ` times the box's silhouette.
     #[inline(always)]
-    pub(crate) fn from_lobes(
-        low: Vec3,
-        high: Vec3,
+    pub(crate) fn see(
+        &mut self,
+        [low, high]: [Vec3; 2],
         lobes: &[KnownLobe],
         seed: u32,
         position: Vec3,
-    ) -> Self {
+    ) {
         let (center, half) = ((low + high) * 0.5, thick_half(low, high));
         let inverse_distance = 1.0 / center.length();
         let toward_receiver = center * -inverse_distance;
         let mut shown = [Shown::default(); LOBES_MAX];
-        let mut count = 0;
+        let mut order = [NOT_DRAWN; LOBES_MAX];
+        let mut areas = Areas::default();
         for (number, lobe) in lobes.iter().enumerate() {
-            let seen = if lobe.is_flat {
-                see_flat(lobe, lobe.point - position)
+            let seen = &mut shown[number];
+            if lobe.is_flat {
+                see_flat(seen, lobe, lobe.point - position);
             } else {
-                see_round(lobe, center, half, toward_receiver)
-            };
-            let Some(mut seen) = seen else { continue };
-            seen.lobe = number;
-            // By distance, nearest first.
-            let mut at = count;
-            while at > 0 && shown[at - 1].distance2 > seen.distance2 {
-                shown[at] = shown[at - 1];
-                at -= 1;
+                see_round(seen, lobe, center, half, toward_receiver);
             }
-            shown[at] = seen;
-            count += 1;
+            if seen.area > 0.0 {
+                order[number] = u64::from(seen.distance2.to_bits()) << 32 | number as u64;
+                areas.add(seen);
+            }
         }
-        thin_loose(&mut shown[..count], lobes, center, half);
-        // One lobe of a solid thing hides nothing of itself.
-        if count > 1 || shown[0].is_sheet {
-            count = drop_backs(&mut shown[..count]);
-            thin_sheets(&mut shown[..count], lobes, || box_silhouette(half, toward_receiver));
+        if areas.loose > 0.0 {
+            thin_loose(&mut shown, lobes, center, half);
         }
+        let mut added = [0.0; 3];
+        if areas.backs > 0.0 && areas.fronts >= HIDING * areas.backs {
+            added = drop_backs(&shown, lobes, &mut order);
+        }
+        if areas.sheets > 0.0 {
+            thin_sheets(&mut shown, lobes, areas.sheets, || box_silhouette(half, toward_receiver));
+        }
+        sort(&mut order);
         let margin = Self::REACH * (high - low).max_element();
-        let mut cluster = Self {
-            low: low - margin,
-            high: high + margin,
-            spread: half.length() * inverse_distance,
-            count,
-            ..Self::default()
-        };
+        (self.low, self.high) = (low - margin, high + margin);
+        self.spread = half.length() * inverse_distance;
+        self.count = 0;
         let mut covered = 0.0;
-        for (piece, seen) in cluster.pieces.iter_mut().zip(&shown[..count]) {
-            (*piece, piece.seed) = (seen.piece, seed);
+        for place in order {
+            if place == NOT_DRAWN {
+                break;
+            }
+            let number = place as usize % LOBES_MAX;
+            let (seen, known) = (&shown[number], &lobes[number]);
+            let piece = &mut self.pieces[self.count];
+            self.count += 1;
+            let (lobe, shining) = (&known.lobe, seen.shining);
+            let added = if seen.is_loose { [0.0; 3] } else { added };
+            *piece = Piece {
+                inverse: seen.inverse,
+                is_round: !seen.is_flat,
+                start: 0.0,
+                end: seen.opacity,
+                solid_angle: seen.solid_angle,
+                cosine: seen.cosine,
+                radiance: [
+                    lobe.radiance[0] * shining + added[0],
+                    lobe.radiance[1] * shining + added[1],
+                    lobe.radiance[2] * shining + added[2],
+                ],
+                stencil: lobe.stencil,
+                axis: known.axis,
+                seed,
+            };
             let closed = if seen.is_sheet { SHEET_CLOSED } else { SOLID_CLOSED };
             if seen.is_loose {
-                piece.end = seen.opacity;
-                piece.seed = loose_seed(seed, seen.lobe);
+                piece.seed = loose_seed(seed, number);
             } else if seen.is_flat {
                 piece.end = if seen.opacity >= closed { 1.0 } else { seen.opacity };
             } else if seen.is_front {
@@ -167,7 +200,28 @@ impl Cluster {
                 piece.end = seen.opacity.min(1.0);
             }
         }
-        cluster
+    }
+}
+
+/// Areas that a node shows: of what is not loose its fronts, its backs and its sheets, and what is loose.
+#[derive(Default)]
+struct Areas {
+    fronts: f32,
+    backs: f32,
+    sheets: f32,
+    loose: f32,
+}
+
+impl Areas {
+    #[inline(always)]
+    fn add(&mut self, seen: &Shown) {
+        let area = seen.area;
+        let (loose, solid) = if seen.is_loose { (area, 0.0) } else { (0.0, area) };
+        let (front, back) = if seen.is_front { (solid, 0.0) } else { (0.0, solid) };
+        self.loose += loose;
+        self.fronts += front;
+        self.backs += back;
+        self.sheets += if seen.is_sheet { area } else { 0.0 };
     }
 }
 
@@ -175,68 +229,52 @@ impl Cluster {
 /// the area of its surfels, whatever the outline, so that the depths along a line of sight are right on the mean. Each is a veil of its own: pieces of
 /// one node, like those behind each other, multiply what they leave open.
 #[inline(always)]
-fn thin_loose(shown: &mut [Shown], lobes: &[KnownLobe], center: Vec3, half: Vec3) {
+fn thin_loose(shown: &mut ShownLobes, lobes: &[KnownLobe], center: Vec3, half: Vec3) {
     let grown = (1.0 + 2.0 * Cluster::REACH).powi(2);
-    for seen in shown.iter_mut().filter(|seen| seen.is_loose) {
+    for (seen, known) in shown.iter_mut().zip(lobes).filter(|(seen, _)| seen.is_loose) {
         let (depth, outline) = if seen.is_flat {
-            let known = &lobes[seen.lobe];
-            let cosine = seen.piece.cosine;
+            let cosine = seen.cosine;
             (known.depth_per_area * seen.area / cosine, known.outline * cosine)
         } else {
             // Those of cells side by side tile the plane, so that each line of sight meets one of each layer.
             let axis = stencil_axis(center);
             let cosine = center[axis].abs() / center.length();
             let face = 4.0 * half[(axis + 1) % 3] * half[(axis + 2) % 3];
-            seen.piece.inverse = Vec3::ZERO;
-            seen.piece.inverse[axis] = 1.0 / center[axis];
+            seen.inverse = Vec3::ZERO;
+            seen.inverse[axis] = 1.0 / center[axis];
             (seen.area / (face * cosine * grown), face * cosine * grown)
         };
         seen.opacity = 1.0 - (-depth).exp();
         // What is hidden inside does not shine.
-        seen.piece.solid_angle *= (seen.opacity * outline / seen.area).min(1.0);
+        seen.solid_angle *= (seen.opacity * outline / seen.area).min(1.0);
     }
 }
 
 /// Share of the backs' area that fronts must show to hide them.
 const HIDING: f32 = 0.7;
 
-/// Leaves out the backs where fronts show about as much: they are the far side of the same thing, and what of them is seen from its front shows at the
-/// fronts' rims. Returns how many are left.
+/// Leaves out the backs, where fronts show about as much: they are the far side of the same thing, and what of them is seen from its front shows at the
+/// fronts' rims, whose radiance grows by what is returned.
 #[inline(always)]
-fn drop_backs(shown: &mut [Shown]) -> usize {
-    let (mut fronts, mut backs) = (0.0, 0.0);
-    for seen in shown.iter().filter(|seen| !seen.is_loose) {
-        if seen.is_front {
-            fronts += seen.area;
-        } else {
-            backs += seen.area;
-        }
-    }
-    if backs == 0.0 || fronts < HIDING * backs {
-        return shown.len();
-    }
-    let mut kept = 0;
+fn drop_backs(shown: &ShownLobes, lobes: &[KnownLobe], order: &mut Order) -> [f32; 3] {
     let (mut solid_angle, mut moved) = (0.0, [0.0; 3]);
-    for index in 0..shown.len() {
-        let seen = shown[index];
-        if seen.is_front || seen.is_loose {
-            shown[kept] = seen;
-            kept += 1;
-            solid_angle += if seen.is_loose { 0.0 } else { seen.piece.solid_angle };
-        } else {
-            for (moved, light) in moved.iter_mut().zip(seen.piece.radiance) {
-                *moved += light * seen.piece.solid_angle;
-            }
+    for (number, known) in lobes.iter().enumerate() {
+        let seen = &shown[number];
+        if seen.is_loose {
+            continue;
+        }
+        if seen.is_front {
+            solid_angle += seen.solid_angle;
+            continue;
+        }
+        order[number] = NOT_DRAWN;
+        let shining = seen.shining * seen.solid_angle;
+        for (moved, light) in moved.iter_mut().zip(known.lobe.radiance) {
+            *moved += light * shining;
         }
     }
-    if moved != [0.0; 3] && solid_angle > 0.0 {
-        for seen in shown[..kept].iter_mut().filter(|seen| !seen.is_loose) {
-            for (light, moved) in seen.piece.radiance.iter_mut().zip(moved) {
-                *light += moved * (1.0 / solid_angle);
-            }
-        }
-    }
-    kept
+    let scale = if solid_angle > 0.0 { 1.0 / solid_angle } else { 0.0 };
+    moved.map(|moved| moved * scale)
 }
 
 /// What a lobe shows of its front and its back to a receiver at the other end of `point`: areas, and the distance and its square.
@@ -250,101 +288,99 @@ fn sides(lobe: &KnownLobe, point: Vec3) -> ([f32; 2], f32, f32) {
     ([0.5 * (along + root), back], distance2, inverse_distance)
 }
 
-/// What a flat lobe shows, a piece of its plane, or none where it shows nothing that blocks. Which side is seen follows from the lobe's own plane,
-/// which may lie far from the box's middle.
+/// What a flat lobe shows, a piece of its plane. Which side is seen follows from the lobe's own plane, which may lie far from the box's middle.
 #[inline(always)]
-fn see_flat(known: &KnownLobe, point: Vec3) -> Option<Shown> {
-    let &KnownLobe { ref lobe, normal, axis, .. } = known;
+fn see_flat(seen: &mut Shown, known: &KnownLobe, point: Vec3) {
+    let &KnownLobe { ref lobe, normal, .. } = known;
     let ([front, back], distance2, inverse_distance) = sides(known, point);
     let height = normal.dot(point);
     let is_front = height < 0.0;
-    let mut area = if is_front { front.max(back) } else { back };
+    let area = if is_front { larger(front, back) } else { back };
     if !(area > 0.0) {
-        return None;
+        return;
     }
     // Seen along its edge it covers nothing; the plane must not contain the receiver.
     let least = 1e-6 * (distance2 * inverse_distance);
     let across = point - normal * height;
     let height = if height.abs() < least { least } else { height };
-    let mut solid_angle = if is_front { front } else { back } / distance2;
-    // Behind the mean plane of a bent surface, some of it still turns its front to the receiver.
-    let shining = if is_front { 1.0 } else { front / back };
     let along2 = known.variance.dot(across * across);
-    solid_angle *= patch_solid_angle_factor(distance2, known.spread2, along2);
-    if is_front {
-        // Leaves above each other hide as much of their light.
-        solid_angle *= known.covered;
-        area *= known.covered;
-    }
-    let piece = Piece {
+    let factor = patch_solid_angle_factor(distance2, known.spread2, along2);
+    // Leaves above each other hide as much of their light.
+    let covered = if is_front { known.covered } else { 1.0 };
+    let side = if is_front { front } else { back };
+    *seen = Shown {
         inverse: normal * (1.0 / height),
-        solid_angle,
+        solid_angle: side * (inverse_distance * inverse_distance) * factor * covered,
         cosine: height.abs() * inverse_distance,
-        radiance: lobe.radiance.map(|light| light * shining),
-        stencil: lobe.stencil,
-        axis,
-        ..Piece::default()
+        distance2,
+        opacity: lobe.fill,
+        area: if lobe.is_loose { front + back } else { area * covered },
+        // Behind the mean plane of a bent surface, some of it still turns its front to the receiver.
+        shining: if is_front { 1.0 } else { front / back },
+        is_sheet: !lobe.blocks_back && !lobe.is_loose,
+        is_flat: true,
+        is_front,
+        is_loose: lobe.is_loose,
     };
-    if lobe.is_loose {
-        area = front + back;
-    }
-    let opacity = lobe.fill;
-    Some(Shown { piece, distance2, opacity, area, is_flat: true, is_front, ..Shown::of(lobe) })
 }
 
-/// What a round lobe shows, a section through the middle of its box that faces the receiver, or none where it shows nothing that blocks.
+/// What a round lobe shows, a section through the middle of its box that faces the receiver.
 #[inline(always)]
-fn see_round(known: &KnownLobe, center: Vec3, half: Vec3, toward_receiver: Vec3) -> Option<Shown> {
+fn see_round(seen: &mut Shown, known: &KnownLobe, center: Vec3, half: Vec3, toward_receiver: Vec3) {
+    let lobe = &known.lobe;
     let ([front, back], distance2, inverse_distance) = sides(known, center);
-    let area = if known.lobe.is_loose { front + back } else { front.max(back) };
+    let area = if lobe.is_loose { front + back } else { front.max(back) };
     let is_front = front > 0.0;
     if !(area > 0.0) {
-        return None;
+        return;
     }
-    let lobe = &known.lobe;
-    let piece = Piece {
+    *seen = Shown {
         inverse: toward_receiver * -inverse_distance,
-        is_round: true,
         solid_angle: if is_front { front } else { back } / distance2,
         cosine: 1.0,
-        radiance: if is_front { lobe.radiance } else { [0.0; 3] },
-        stencil: Stencil::FULL,
-        ..Piece::default()
+        distance2,
+        opacity: (area / central_section_area(half, toward_receiver)).min(1.0),
+        area,
+        shining: f32::from(is_front),
+        is_sheet: !lobe.blocks_back && !lobe.is_loose,
+        is_flat: false,
+        is_front,
+        is_loose: lobe.is_loose,
     };
-    let opacity = (area / central_section_area(half, toward_receiver)).min(1.0);
-    Some(Shown { piece, distance2, opacity, area, is_front, ..Shown::of(lobe) })
 }
 
-/// Reduces what sheets show that are not one flat piece to `1 − e^−τ`. A flat lobe is another piece of cloth beside the largest as far as they
-/// cover different cells, and hides as it is. So does a board, whose outline is known: which of two boards is before the other, a lamp below a ceiling,
-/// the raster finds by their depths.
+/// Reduces what sheets show that are not one flat piece to `1 − e^−τ`; `total` is their area. A flat lobe is another piece of cloth beside the largest as
+/// far as they cover different cells, and hides as it is. So does a board, whose outline is known: which of two boards is before the other, a lamp below
+/// a ceiling, the raster finds by their depths.
 #[inline(always)]
-fn thin_sheets(shown: &mut [Shown], lobes: &[KnownLobe], silhouette: impl Fn() -> f32) {
-    let (mut total, mut flat, mut flat_index) = (0.0, 0.0, usize::MAX);
+fn thin_sheets(
+    shown: &mut ShownLobes,
+    lobes: &[KnownLobe],
+    total: f32,
+    silhouette: impl Fn() -> f32,
+) {
+    let (mut flat, mut largest) = (0.0, None);
     for (index, seen) in shown.iter().enumerate() {
-        if seen.is_sheet {
-            total += seen.area;
-            if seen.is_flat && seen.area > flat {
-                (flat, flat_index) = (seen.area, index);
-            }
+        if seen.is_sheet && seen.is_flat && seen.area > flat {
+            (flat, largest) = (seen.area, Some(index));
         }
     }
     if !(total - flat > 1e-3 * total) {
         return;
     }
     // Of each, the share that lies anywhere in what is left of the box.
-    let mut loose = [1.0; LOBES_MAX];
+    let mut loose = [0.0; LOBES_MAX];
     let mut rest = 0.0;
-    let largest = shown.get(flat_index).map(|seen| seen.lobe);
-    for (index, (seen, loose)) in shown.iter().zip(&mut loose).enumerate() {
-        if !seen.is_sheet || index == flat_index || lobes[seen.lobe].is_board() {
-            *loose = 0.0;
-        } else if let Some(largest) = largest
-            && seen.is_flat
-        {
-            *loose = lobes[seen.lobe].shares[largest];
+    for (index, known) in lobes.iter().enumerate() {
+        let seen = &shown[index];
+        if !seen.is_sheet || largest == Some(index) || known.is_board() {
+            continue;
         }
-        rest += *loose * seen.area;
+        loose[index] = match largest {
+            Some(largest) if seen.is_flat => known.shares[largest],
+            _ => 1.0,
+        };
+        rest += loose[index] * seen.area;
     }
     if !(rest > 1e-3 * total) {
         return;
@@ -355,15 +391,22 @@ fn thin_sheets(shown: &mut [Shown], lobes: &[KnownLobe], silhouette: impl Fn() -
     for (seen, loose) in shown.iter_mut().zip(loose) {
         let kept = 1.0 - loose * (1.0 - factor);
         seen.opacity *= kept;
-        seen.piece.solid_angle *= kept;
+        seen.solid_angle *= kept;
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pbgi_format::{Channels, MiniFloat, SurfelLayout};
+    use pbgi_format::{Channels, Lobe, MiniFloat, SurfelLayout};
     use pbgi_math::Aabb;
+
+    /// What the unit box with these lobes shows.
+    fn look(receiver: Vec3, lobes: &[KnownLobe], seed: u32) -> Cluster {
+        let mut cluster = Cluster::default();
+        cluster.see([-receiver, Vec3::ONE - receiver], lobes, seed, receiver);
+        cluster
+    }
 
     /// Floor and wall of a node, as the receiver sees them.
     fn see_corner(receiver: Vec3) -> Cluster {
@@ -404,7 +447,7 @@ mod tests {
             KnownLobe::new(&lobe, &bounds)
         };
         let lobes: Vec<KnownLobe> = stored.map(known).collect();
-        Cluster::from_lobes(-receiver, Vec3::ONE - receiver, &lobes, 1, receiver)
+        look(receiver, &lobes, 1)
     }
 
     #[test]
@@ -450,7 +493,7 @@ mod tests {
         let mut lobes: Vec<KnownLobe> = normals.into_iter().enumerate().map(sheet).collect();
         crate::lobe::find_shares(&mut lobes, &bounds);
         let receiver = Vec3::new(0.4, -3.0, 0.6);
-        let cluster = Cluster::from_lobes(-receiver, Vec3::ONE - receiver, &lobes, 1, receiver);
+        let cluster = look(receiver, &lobes, 1);
         let mut ends: Vec<f32> = cluster.pieces().iter().map(|piece| piece.end).collect();
         ends.sort_by(f32::total_cmp);
         ends
@@ -484,7 +527,7 @@ mod tests {
             KnownLobe::new(&lobe, &bounds)
         };
         let lobes: Vec<KnownLobe> = normals.iter().map(loose).collect();
-        Cluster::from_lobes(-receiver, Vec3::ONE - receiver, &lobes, 8, receiver)
+        look(receiver, &lobes, 8)
     }
 
     #[test]
@@ -574,7 +617,7 @@ mod tests {
         let directions: Vec<Vec3> = sphere(500).collect();
         for direction in &directions {
             let receiver = Vec3::splat(0.5) + *direction * 100.0;
-            let cluster = Cluster::from_lobes(-receiver, Vec3::ONE - receiver, &lobes, 1, receiver);
+            let cluster = look(receiver, &lobes, 1);
             let flux: f32 = cluster.pieces().iter().map(|p| p.radiance[0] * p.solid_angle).sum();
             // A quarter of the surface over the square of the distance.
             let share = flux * 1e4 / 0.25;

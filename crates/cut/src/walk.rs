@@ -69,10 +69,10 @@ impl SurfelSeen<'_> {
 }
 
 /// What a visitor keeps of a box from when it sees it among others to when it is asked about it.
-pub type Kept = u64;
+pub type Kept = u32;
 
 /// Nothing is kept of a box.
-pub const NOTHING_KEPT: Kept = u64::MAX;
+pub const NOTHING_KEPT: Kept = u32::MAX;
 
 /// Receives a cut, nearest first.
 pub trait CutVisitor {
@@ -117,6 +117,7 @@ struct Frame {
 pub struct CutScratch {
     frames: Vec<Frame>,
     order: Vec<u64>,
+    cluster: Cluster,
 }
 
 /// Walks the octree, octants front to back, and gives the visitor every node or surfel of the cut.
@@ -241,7 +242,9 @@ impl<V: CutVisitor, T: Threshold> Walk<'_, '_, V, T> {
         let (bounds, position) = (known.bounds(index), self.receiver.view.position);
         let lobes = self.nodes.lobes(group, index, self.stats)?;
         let (low, high) = (bounds.min - position, bounds.max - position);
-        self.visitor.take_cluster(&Cluster::from_lobes(low, high, lobes, seed, position));
+        let cluster = &mut self.scratch.cluster;
+        cluster.see([low, high], lobes, seed, position);
+        self.visitor.take_cluster(cluster);
         self.stats.clusters += 1;
         Ok(())
     }

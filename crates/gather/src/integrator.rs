@@ -14,7 +14,7 @@ use pbgi_cut::{
 };
 use pbgi_math::{Vec3, sphere_sin2_for_solid_angle};
 use pbgi_raster::{
-    CubeRaster, CubeRasterTable, Footprint, Lanes, SimdLevel, WideKernel, WindowRaster, run_wide,
+    CubeRaster, CubeRasterTable, Lanes, SimdLevel, WideKernel, WindowRaster, run_wide,
 };
 use pbgi_store::{Reader, StoreError};
 use std::marker::PhantomData;
@@ -363,8 +363,7 @@ impl WideKernel for CubeKernel<'_, '_> {
             stakes,
             lamps,
         };
-        let (footprint, plane) = (Footprint::default(), receiver.plane);
-        let mut visitor = CubeVisitor::<L> { raster, footprint, plane, lanes: PhantomData };
+        let mut visitor = CubeVisitor::<L> { raster, plane: receiver.plane, lanes: PhantomData };
         walker.pick(place, &threshold, &mut visitor)?;
         let base = light.map(|light| &light.base);
         let diffuse = convolve_diffuse(raster, table, base, [receiver.normal, receiver.plane]);

@@ -210,6 +210,7 @@ pub(crate) fn piece_ink(cluster: &Cluster, piece: &Piece, veil: Veil) -> Ink {
 #[inline(always)]
 pub(crate) fn piece_shape(cluster: &Cluster, piece: &Piece) -> (Section, Veil) {
     let &Piece { inverse, stencil, axis, seed, .. } = piece;
-    let section = Section { inverse, low: cluster.low, high: cluster.high, stencil, axis };
+    let bounds = [cluster.low, cluster.high];
+    let section = Section::stenciled(inverse, bounds, (stencil, usize::from(axis)));
     (section, Veil { start: piece.start, end: piece.end, seed })
 }

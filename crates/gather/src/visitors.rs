@@ -4,10 +4,7 @@ use crate::primitive::{Outline, SurfelPen, draw_surfel, piece_ink, piece_shape, 
 use pbgi_cut::{Boxes, Cluster, CutVisitor, Kept, NOTHING_KEPT, SurfelSeen};
 use pbgi_format::CHILDREN_MAX;
 use pbgi_math::Vec3;
-use pbgi_raster::{
-    CubeRaster, Footprint, Ink, Lanes, NO_FOOTPRINT_CODE, SHAPES_MAX, Section, Shape, Veil, Window,
-    WindowRaster,
-};
+use pbgi_raster::{CubeRaster, Lanes, NO_FOOTPRINT_CODE, Shape, Veil, Window, WindowRaster};
 use std::marker::PhantomData;
 
 /// Of boxes whose footprint has no code nothing is kept.
@@ -16,8 +13,6 @@ const _: () = assert!(NO_FOOTPRINT_CODE == NOTHING_KEPT);
 /// Draws the cut into the cube.
 pub(crate) struct CubeVisitor<'a, L> {
     pub raster: &'a mut CubeRaster,
-    /// Of the box that was asked about last.
-    pub footprint: Footprint,
     /// Of the receiver's surface.
     pub plane: Vec3,
     pub lanes: PhantomData<L>,
@@ -31,20 +26,16 @@ impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
 
     #[inline(always)]
     fn is_open(&mut self, low: Vec3, high: Vec3, kept: Kept) -> bool {
-        self.footprint = self.raster.footprint_of(kept, low, high);
-        self.raster.is_open(&self.footprint)
+        self.raster.look(kept, low, high)
     }
 
     #[inline(always)]
     fn take_cluster(&mut self, cluster: &Cluster) {
-        let mut shapes = [(Section::default(), Ink::default()); SHAPES_MAX];
-        let pieces = cluster.pieces();
-        for (shape, piece) in shapes.iter_mut().zip(pieces) {
-            let (section, veil) = piece_shape(cluster, piece);
-            *shape = (section, piece_ink(cluster, piece, veil));
-        }
         let toward = cluster.low + cluster.high;
-        self.raster.draw::<L, _>(&shapes[..pieces.len()], &self.footprint, toward);
+        for piece in cluster.pieces() {
+            let (section, veil) = piece_shape(cluster, piece);
+            self.raster.draw::<L, _>(&section, &piece_ink(cluster, piece, veil), toward);
+        }
     }
 
     #[inline(always)]
@@ -63,12 +54,9 @@ impl<L: Lanes> SurfelPen for CubeVisitor<'_, L> {
     #[inline(always)]
     fn draw<S: Shape>(&mut self, seen: &SurfelSeen<'_>, shape: &S, outline: &Outline) {
         let [low, high] = seen.bounds();
-        let footprint = self.raster.footprint_of(seen.kept, low, high);
-        if !self.raster.shines() && !self.raster.is_open(&footprint) {
-            return;
+        if self.raster.look(seen.kept, low, high) || self.raster.shines() {
+            self.raster.draw::<L, S>(shape, &surfel_ink(seen, outline), seen.center);
         }
-        let ink = surfel_ink(seen, outline);
-        self.raster.draw::<L, S>(&[(*shape, ink)], &footprint, seen.center);
     }
 }
 

@@ -5,11 +5,9 @@ use crate::lanes::{Lanes, SAMPLES};
 use crate::samples::{Veil, offset_sum, place, sample_near};
 use crate::shape::{Rims, Shape};
 use crate::table::{CubeRasterTable, LANES};
+use crate::texel_bits::{RowsOfWords, TexelBits, TexelRange, WordOfTexels};
 use crate::texel_light::TexelLight;
 use pbgi_math::{CubeFace, Vec3, larger};
-
-/// Most shapes that are drawn together.
-pub const SHAPES_MAX: usize = 4;
 
 /// Every sample of a texel.
 const ALL: u16 = u16::MAX;
@@ -50,44 +48,20 @@ pub struct TexelChunk {
     pub radiance: [[f32; LANES]; 3],
 }
 
-/// Texels of a face.
-#[derive(Clone, Copy, Debug, Default)]
-struct TexelRange {
-    face: u8,
-    /// First and last column.
-    columns: [u8; 2],
-    /// First and last row.
-    rows: [u8; 2],
-}
-
-/// The texels that what lies in a box may touch; see [`CubeRaster::footprint`].
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Footprint {
-    ranges: [TexelRange; 6],
-    count: u8,
-}
-
-/// A footprint on one face, as one number.
-pub type FootprintCode = u64;
+/// The texels of one face that what lies in a box may touch, as one number.
+pub type FootprintCode = u32;
 
 /// The code of what falls on several faces.
-pub const NO_FOOTPRINT_CODE: FootprintCode = u64::MAX;
+pub const NO_FOOTPRINT_CODE: FootprintCode = u32::MAX;
 
-impl Footprint {
-    /// The one of a code of one face.
-    #[inline(always)]
-    fn from_code(code: FootprintCode) -> Self {
-        let byte = |index: u32| (code >> (8 * index)) as u8;
-        let (columns, rows) = ([byte(1), byte(2)], [byte(3), byte(4)]);
-        let mut ranges = [TexelRange::default(); 6];
-        ranges[0] = TexelRange { face: byte(0), columns, rows };
-        Self { ranges, count: 1 }
-    }
+/// Bits of a code that are a coordinate.
+const CODE_BITS: u32 = 6;
 
-    #[inline(always)]
-    fn ranges(&self) -> &[TexelRange] {
-        &self.ranges[..usize::from(self.count)]
-    }
+/// The texels of a code of one face.
+#[inline(always)]
+fn range_of(code: FootprintCode) -> TexelRange {
+    let at = |index: u32| (code >> (index * CODE_BITS)) as u8 & ((1 << CODE_BITS) - 1);
+    TexelRange { face: at(4), columns: [at(3), at(2)], rows: [at(1), at(0)] }
 }
 
 /// How far the middle of a texel's open samples lies from the middle of those above the horizon, times the open share of the whole texel
@@ -224,8 +198,6 @@ struct Hit {
     face: u8,
     column: u8,
     row: u8,
-    /// Which of the shapes drawn together.
-    shape: u8,
     /// Above the horizon and not hidden.
     visible: u16,
     /// Not covered before by anything.
@@ -260,18 +232,23 @@ pub struct CubeRaster {
     rims: Vec<Rims>,
     /// Valid where `lit` says so.
     lights: Vec<TexelLight>,
-    /// Texels that hold light, one bit each, per row of each face.
-    lit: Vec<u64>,
+    /// Texels that hold light.
+    lit: TexelBits,
     /// Inverse depth along the face's axis of what covers each sample.
     depths: Vec<[f32; SAMPLES]>,
-    /// Texels that are not wholly covered, one bit each, per row of each face.
-    open: Vec<u64>,
+    /// Texels that are not wholly covered.
+    open: TexelBits,
+    rows: RowsOfWords,
+    /// Those that what is drawn next may touch.
+    looked_at: Vec<WordOfTexels>,
     /// Scale from face coordinates to texels: `n / 2`.
     scale: f32,
     /// Width of a texel in face coordinates.
     step: f32,
     /// Places of the samples in a texel, in face coordinates.
     places: [[f32; SAMPLES]; 2],
+    /// Coordinates u of the samples in each column, and v of those in each row.
+    directions: [Vec<[f32; SAMPLES]>; 2],
     inverse_solid_angles: Vec<f32>,
     hits: Vec<Hit>,
 }
@@ -284,6 +261,10 @@ impl CubeRaster {
         let step = 2.0 / n as f32;
         let places = |axis: usize| std::array::from_fn(|i| place(i)[axis] * step);
         let inverse = |sr: f32| if sr > 0.0 { 1.0 / sr } else { 0.0 };
+        let places: [[f32; SAMPLES]; 2] = [places(0), places(1)];
+        let corner = |i: usize| i as f32 * step - 1.0;
+        let samples = |i: usize, axis: usize| places[axis].map(|place| corner(i) + place);
+        let directions = [0, 1].map(|axis| (0..n).map(|i| samples(i, axis)).collect());
         Self {
             n,
             stride,
@@ -296,12 +277,15 @@ impl CubeRaster {
             above: vec![0; 6 * n * stride],
             rims: vec![Rims::default(); 6 * n * stride],
             lights: vec![TexelLight::NONE; if shines { 6 * n * stride } else { 0 }],
-            lit: vec![0; 6 * n],
+            lit: TexelBits::new(table),
             depths: vec![[0.0; SAMPLES]; 6 * n * stride],
-            open: vec![0; 6 * n],
+            open: TexelBits::new(table),
+            rows: RowsOfWords::new(table),
+            looked_at: Vec::with_capacity(64),
             scale: 0.5 * n as f32,
             step,
-            places: [places(0), places(1)],
+            places,
+            directions,
             inverse_solid_angles: table
                 .texels()
                 .iter()
@@ -331,7 +315,8 @@ impl CubeRaster {
     /// The same for a receiver whose surface has another `plane` than the normal it is shaded with: samples below either count as covered.
     #[inline(always)]
     pub fn clear_above<L: Lanes>(&mut self, normal: Vec3, plane: Vec3) {
-        self.lit.fill(0);
+        self.lit.clear();
+        self.open.clear();
         self.rims.fill(Rims::default());
         self.lamp_irradiance = [0.0; 3];
         self.normal = normal;
@@ -354,14 +339,14 @@ impl CubeRaster {
         horizon: &FaceHorizon,
         own: Option<&FaceHorizon>,
     ) {
-        let (n, row_index) = (self.n, usize::from(face.0) * self.n + row);
+        let n = self.n;
         let v = (row as f32 + 0.5) * self.step - 1.0;
         let [mut whole, touched] = horizon.columns(v, self.step, n);
         if let Some(own) = own {
             let [above, _] = own.columns(v, self.step, n);
             whole = [whole[0].max(above[0]), whole[1].min(above[1])];
         }
-        let start = row_index * self.stride;
+        let start = (usize::from(face.0) * n + row) * self.stride;
         self.covered[start..start + n].fill(ALL);
         self.above[start..start + n].fill(0);
         // Rows are at most 64 wide.
@@ -373,7 +358,8 @@ impl CubeRaster {
         }
         let is_between = |column: &usize| !(whole[0]..whole[1]).contains(column);
         for column in (touched[0]..touched[1]).filter(is_between) {
-            let (x, y) = (self.sample_columns::<L>(column), self.sample_rows::<L>(row));
+            let [u, v] = &self.directions;
+            let (x, y) = (L::load(&u[column]), L::load(&v[row]));
             let index = start + column;
             let above = horizon.above(x, y);
             let mut open = above;
@@ -385,15 +371,14 @@ impl CubeRaster {
             bits |= u64::from(open != 0) << column;
             (self.covered[index], self.above[index]) = (!open, above);
         }
-        self.open[row_index] = bits;
+        self.open.insert_row(start, bits);
     }
 
     /// The light of a texel, to add to.
     #[inline(always)]
-    fn light(&mut self, index: usize, row_index: usize, column: usize) -> &mut TexelLight {
-        let (bit, row) = (1u64 << column, &mut self.lit[row_index]);
-        if *row & bit == 0 {
-            *row |= bit;
+    fn light(&mut self, index: usize) -> &mut TexelLight {
+        if !self.lit.contains(index) {
+            self.lit.insert(index);
             self.lights[index] = TexelLight::NONE;
         }
         &mut self.lights[index]
@@ -409,65 +394,67 @@ impl CubeRaster {
         TexelTilt::new(na + nu * u + nv * v, [nu, nv], [u, v], 0.5 * self.step, above)
     }
 
-    /// Face coordinate u of the samples of the texels in a column.
-    #[inline(always)]
-    fn sample_columns<L: Lanes>(&self, column: usize) -> L {
-        L::splat(self.corner(column)).add(L::load(&self.places[0]))
-    }
-
-    /// Face coordinate v of the samples of the texels in a row.
-    #[inline(always)]
-    fn sample_rows<L: Lanes>(&self, row: usize) -> L {
-        L::splat(self.corner(row)).add(L::load(&self.places[1]))
-    }
-
     /// Face coordinate of the boundary before texel `i`.
     #[inline(always)]
     fn corner(&self, i: usize) -> f32 {
         i as u32 as f32 * self.step - 1.0
     }
 
-    /// The texels that the box `low..=high`, relative to the receiver, may touch.
-    #[must_use]
+    /// Looks at the texels that the box `low..=high`, relative to the receiver, may touch, to draw what lies in it, and tells whether any of them is open.
     #[inline(always)]
-    pub fn footprint(&self, low: Vec3, high: Vec3) -> Footprint {
-        let mut footprint = Footprint::default();
-        let last = self.n - 1;
-        if low.cmple(Vec3::ZERO).all() && high.cmpge(Vec3::ZERO).all() {
-            // The receiver is within the box: any face may see what is in it.
-            for face in 0..6 {
-                footprint.ranges[usize::from(face)] =
-                    TexelRange { face, columns: [0, last as u8], rows: [0, last as u8] };
-            }
-            footprint.count = 6;
-            return footprint;
-        }
-        let texel = |x: f32| smaller_index(((x + 1.0) * self.scale) as i32 as usize, last) as u8;
-        let mut count = 0;
-        project_box(low, high, |r| {
-            // Coordinates are inside −1..=1, so the casts cannot go below 0.
-            footprint.ranges[count] = TexelRange {
-                face: r.face,
-                columns: [texel(r.u0), texel(r.u1)],
-                rows: [texel(r.v0), texel(r.v1)],
-            };
-            count += 1;
-        });
-        footprint.count = count as u8;
-        footprint
+    pub fn look_at_box(&mut self, low: Vec3, high: Vec3) -> bool {
+        self.look(NO_FOOTPRINT_CODE, low, high)
     }
 
     /// The same for a box whose code was found before.
-    #[must_use]
     #[inline(always)]
-    pub fn footprint_of(&self, code: FootprintCode, low: Vec3, high: Vec3) -> Footprint {
-        match code {
-            NO_FOOTPRINT_CODE => self.footprint(low, high),
-            code => Footprint::from_code(code),
+    pub fn look(&mut self, code: FootprintCode, low: Vec3, high: Vec3) -> bool {
+        self.looked_at.clear();
+        if code != NO_FOOTPRINT_CODE {
+            return self.look_at(&range_of(code));
         }
+        let last = (self.n - 1) as u8;
+        let mut is_open = false;
+        if low.cmple(Vec3::ZERO).all() && high.cmpge(Vec3::ZERO).all() {
+            // The receiver is within the box: any face may see what is in it.
+            for face in 0..6 {
+                is_open |= self.look_at(&TexelRange { face, columns: [0, last], rows: [0, last] });
+            }
+            return is_open;
+        }
+        let (mut faces, rectangles) = project_box(low, high);
+        let mut texels = [[0; BOXES]; 4];
+        for (texels, plane) in texels.iter_mut().zip(&rectangles) {
+            for i in 0..BOXES {
+                texels[i] = self.texel(plane[i]);
+            }
+        }
+        while faces != 0 {
+            let face = faces.trailing_zeros() as usize;
+            faces &= faces - 1;
+            let [u0, u1, v0, v1] = &texels;
+            let columns = [u0[face] as u8, u1[face] as u8];
+            let rows = [v0[face] as u8, v1[face] as u8];
+            is_open |= self.look_at(&TexelRange { face: face as u8, columns, rows });
+        }
+        is_open
     }
 
-    /// Codes of the footprints of eight boxes, relative to the receiver, as of [`Self::footprint`].
+    /// The texel of a coordinate inside −1..=1.
+    #[inline(always)]
+    fn texel(&self, x: f32) -> u32 {
+        let (texel, last) = (whole((x + 1.0) * self.scale), (self.n - 1) as u32);
+        if texel < last { texel } else { last }
+    }
+
+    /// Looks at the texels of a rectangle, too. Where none of a word is open, light alone needs to be looked at.
+    #[inline(always)]
+    fn look_at(&mut self, range: &TexelRange) -> bool {
+        let Self { rows, open, looked_at, shines, .. } = self;
+        rows.find_open(range, open, *shines, looked_at)
+    }
+
+    /// Codes of the texels of eight boxes, relative to the receiver, as [`Self::look_at_box`] finds them.
     #[must_use]
     #[inline(always)]
     pub fn footprint_codes(
@@ -476,61 +463,31 @@ impl CubeRaster {
         high: &[[f32; BOXES]; 3],
     ) -> [FootprintCode; BOXES] {
         let (faces, rectangles) = project_inside(low, high);
-        let last = self.n as i32 - 1;
-        let mut texels = [[0i32; BOXES]; 4];
-        for (texels, plane) in texels.iter_mut().zip(&rectangles) {
-            for i in 0..BOXES {
-                let texel = ((plane[i] + 1.0) * self.scale) as i32;
-                texels[i] = if texel < last { texel } else { last };
-            }
-        }
         let mut codes = [0; BOXES];
         for i in 0..BOXES {
-            let [u0, u1, v0, v1] = texels.map(|plane| plane[i] as u64);
-            let code = faces[i] as u64 | u0 << 8 | u1 << 16 | v0 << 24 | v1 << 32;
+            let mut code = faces[i] as u32;
+            for plane in &rectangles {
+                code = code << CODE_BITS | self.texel(plane[i]);
+            }
             codes[i] = if faces[i] == 255 { NO_FOOTPRINT_CODE } else { code };
         }
         codes
     }
 
-    /// Whether any texel of a footprint is not yet covered.
-    #[must_use]
+    /// Draws a shape inside the texels that were looked at last; `toward` leads to its middle.
     #[inline(always)]
-    pub fn is_open(&self, footprint: &Footprint) -> bool {
-        footprint.ranges().iter().any(|r| {
-            let [c0, c1] = r.columns;
-            let mask = (u64::MAX >> (63 - (c1 - c0))) << c0;
-            let rows = usize::from(r.face) * self.n;
-            let [r0, r1] = r.rows.map(usize::from);
-            self.open[rows + r0..=rows + r1].iter().any(|&bits| bits & mask != 0)
-        })
-    }
-
-    /// Draws up to [`SHAPES_MAX`] shapes that lie in one box, nearest first; `footprint` is the box's, `toward` leads to its
-    /// middle.
-    #[inline(always)]
-    pub fn draw<L: Lanes, S: Shape>(
-        &mut self,
-        shapes: &[(S, Ink)],
-        footprint: &Footprint,
-        toward: Vec3,
-    ) {
+    pub fn draw<L: Lanes, S: Shape>(&mut self, shape: &S, ink: &Ink, toward: Vec3) {
         self.hits.clear();
-        let mut met = [0u32; SHAPES_MAX];
-        for range in footprint.ranges() {
-            self.cover::<L, S>(shapes, range, &mut met);
+        let met = self.cover::<L, S>(shape, ink);
+        if !self.shines {
+            return;
         }
-        if self.shines {
-            for number in 0..self.hits.len() {
-                let hit = self.hits[number];
-                let (ink, met) = (&shapes[usize::from(hit.shape)].1, met[usize::from(hit.shape)]);
-                self.shine(&hit, ink, met, toward);
-            }
-            for ((shape, ink), met) in shapes.iter().zip(met) {
-                if met == 0 {
-                    self.shine_unmet(shape, toward, ink);
-                }
-            }
+        for number in 0..self.hits.len() {
+            let hit = self.hits[number];
+            self.shine(&hit, ink, met, toward);
+        }
+        if met == 0 {
+            self.shine_unmet(shape, toward, ink);
         }
     }
 
@@ -538,7 +495,6 @@ impl CubeRaster {
     #[inline(always)]
     fn shine(&mut self, hit: &Hit, ink: &Ink, met: u32, toward: Vec3) {
         let (index, column) = (hit.index as usize, usize::from(hit.column));
-        let row_index = usize::from(hit.face) * self.n + usize::from(hit.row);
         let above = self.above[index];
         let count = hit.visible.count_ones();
         let is_lamp = self.is_lamp(ink) && ink.solid_angle < LARGE_LAMP_SR;
@@ -552,7 +508,7 @@ impl CubeRaster {
             } else {
                 self.cosine_in(hit, offset_sum(hit.visible).map(|sum| sum / count as f32))
             };
-            self.shine_lamp([index, row_index, column], solid_angle, cosine, &ink.radiance);
+            self.shine_lamp(index, solid_angle, cosine, &ink.radiance);
             return;
         }
         let tilt = self.tilt(CubeFace(hit.face), usize::from(hit.row), column, above);
@@ -562,25 +518,19 @@ impl CubeRaster {
             hit.new.count_ones() as f32 * tilt.sample.mean(hit.new)
         };
         let share = samples / larger_than_zero(above.count_ones() as f32);
-        self.light(index, row_index, column).add(share, &ink.radiance);
+        self.light(index).add(share, &ink.radiance);
     }
 
     /// Adds the light of a lamp that shows this solid angle in a texel, at this cosine: it counts as it is, whatever the texel's size.
     #[inline(always)]
-    fn shine_lamp(
-        &mut self,
-        [index, row_index, column]: [usize; 3],
-        solid_angle: f32,
-        cosine: f32,
-        radiance: &[f32; 3],
-    ) {
+    fn shine_lamp(&mut self, index: usize, solid_angle: f32, cosine: f32, radiance: &[f32; 3]) {
         let weight = solid_angle * larger(cosine, 0.0);
         for (sum, light) in self.lamp_irradiance.iter_mut().zip(radiance) {
             *sum += weight * light;
         }
         let above = self.above[index].count_ones() as f32;
         let texel = self.inverse_solid_angles[index] * SAMPLES as f32 / larger_than_zero(above);
-        self.light(index, row_index, column).add_lamp(solid_angle * texel, radiance);
+        self.light(index).add_lamp(solid_angle * texel, radiance);
     }
 
     /// Cosine to the receiver's normal at a place of a texel, −1..=1 from border to border.
@@ -605,78 +555,59 @@ impl CubeRaster {
         self.lamp_irradiance
     }
 
-    /// Covers the samples in a range of texels that meet the shapes, and counts for each how many do.
+    /// Covers the samples that meet a shape, and counts them. Without light, texels that are covered already need not meet anything.
     #[inline(always)]
-    fn cover<L: Lanes, S: Shape>(
-        &mut self,
-        shapes: &[(S, Ink)],
-        range: &TexelRange,
-        met_total: &mut [u32; SHAPES_MAX],
-    ) {
-        let face = CubeFace(range.face);
-        let [c0, c1] = range.columns.map(usize::from);
-        let [r0, r1] = range.rows.map(usize::from);
-        for (number, (shape, ink)) in shapes.iter().enumerate() {
-            let shape = shape.turned(face);
+    fn cover<L: Lanes, S: Shape>(&mut self, shape: &S, ink: &Ink) -> u32 {
+        let Self { n, stride, shines, keeps_depths, covered, above, rims, depths, .. } = self;
+        let Self { open, rows, looked_at, directions: [across, along], hits, .. } = self;
+        let (face_texels, shines, keeps_depths) = (*n * *stride, *shines, *keeps_depths);
+        let (stride_log2, in_row) = (rows.stride_log2, *stride - 1);
+        let opaque = ink.veil.is_opaque();
+        let nearer = L::splat(1.0 + ink.tolerance);
+        let mut met_count = 0;
+        for &WordOfTexels { face, word, texels } in looked_at.iter() {
+            let shape = shape.turned(CubeFace(face));
             let inverse = shape.inverse();
-            let opaque = ink.veil.is_opaque();
-            let nearer = L::splat(1.0 + ink.tolerance);
-            let mut met_here = 0;
-            let mut row = r0;
-            while row <= r1 {
-                let row_index = usize::from(range.face) * self.n + row;
-                let y = self.sample_rows::<L>(row);
-                let w_row = L::splat(inverse.x).add(L::splat(inverse.z).mul(y));
-                let mut column = c0;
-                while column <= c1 {
-                    let index = row_index * self.stride + column;
-                    if !self.shines && self.covered[index] == ALL {
-                        column += 1;
-                        continue;
-                    }
-                    let x = self.sample_columns::<L>(column);
-                    let w = w_row.add(L::splat(inverse.y).mul(x));
-                    let met = shape.meets([L::splat(1.0), x, y], w);
-                    let met = met.close(&shape, &mut self.rims[index]);
-                    column += 1;
-                    if met == 0 {
-                        continue;
-                    }
-                    met_here += met.count_ones();
-                    let before = self.covered[index];
-                    let depths = &mut self.depths[index];
-                    let covered = if opaque { met } else { met & ink.veil.samples(index) };
-                    let new = covered & !before;
-                    if self.shines {
-                        let hidden = before & L::bits(w.mul(nearer).le(L::load(depths)));
-                        let visible = met & self.above[index] & !hidden;
-                        if visible | new != 0 {
-                            self.hits.push(Hit {
-                                index: index as u32,
-                                face: range.face,
-                                // One on already.
-                                column: (column - 1) as u8,
-                                row: row as u8,
-                                shape: number as u8,
-                                visible,
-                                new,
-                            });
-                        }
-                    }
-                    if new != 0 {
-                        if self.keeps_depths {
-                            w.store_where(new, depths);
-                        }
-                        self.covered[index] = before | new;
-                        if before | new == ALL {
-                            self.open[row_index] &= !(1 << (column - 1));
-                        }
+            let start = word as usize * u64::BITS as usize;
+            let of_face = usize::from(face) * face_texels;
+            let mut rest = if shines { texels } else { texels & open.word(word as usize) };
+            while rest != 0 {
+                let bit = rest.trailing_zeros() as usize;
+                rest &= rest - 1;
+                let index = start + bit;
+                let (row, column) = ((index - of_face) >> stride_log2, index & in_row);
+                let (u, v) = (L::load(&across[column]), L::load(&along[row]));
+                let w = L::splat(inverse.x)
+                    .add(u.mul(L::splat(inverse.y)))
+                    .add(v.mul(L::splat(inverse.z)));
+                let met = shape.meets([L::splat(1.0), u, v], w).close(&shape, &mut rims[index]);
+                if met == 0 {
+                    continue;
+                }
+                met_count += met.count_ones();
+                let (before, depths) = (covered[index], &mut depths[index]);
+                let inked = if opaque { met } else { met & ink.veil.samples(index) };
+                let new = inked & !before;
+                if shines {
+                    let hidden = before & L::bits(w.mul(nearer).le(L::load(depths)));
+                    let visible = met & above[index] & !hidden;
+                    if visible | new != 0 {
+                        let (row, column, index) = (row as u8, column as u8, index as u32);
+                        hits.push(Hit { index, face, column, row, visible, new });
                     }
                 }
-                row += 1;
+                if new != 0 {
+                    if keeps_depths {
+                        w.store_where(new, depths);
+                    }
+                    covered[index] = before | new;
+                    if before | new == ALL {
+                        open.remove(index);
+                    }
+                }
             }
-            met_total[number] += met_here;
         }
+        met_count
     }
 
     /// Adds the light of a piece that met no sample to the texel at its middle. Whether it is hidden says the sample next to it:
@@ -699,24 +630,22 @@ impl CubeRaster {
         }
         let place = |axis: usize| self.places[axis][sample as usize];
         let (su, sv) = (self.corner(column) + place(0), self.corner(row) + place(1));
-        let inverse = shape.turned(face).inverse();
-        let w = inverse.x + inverse.y * su + inverse.z * sv;
+        let w = shape.inverse().dot(face.direction(su, sv));
         let is_hidden = w * (1.0 + ink.tolerance) <= self.depths[index][sample as usize];
         if covered >> sample & 1 != 0 && is_hidden {
             return;
         }
-        let row_index = usize::from(face.0) * self.n + row;
         let place_in_texel = place_in_texel.map(|x| 2.0 * x - 1.0);
         let is_lamp = self.is_lamp(ink);
         if is_lamp {
             let cosine = self.normal.dot(toward) / toward.length();
-            self.shine_lamp([index, row_index, column], ink.solid_angle, cosine, &ink.radiance);
+            self.shine_lamp(index, ink.solid_angle, cosine, &ink.radiance);
             return;
         }
         let whole = self.inverse_solid_angles[index] * SAMPLES as f32 / above.count_ones() as f32;
         let cosine = self.tilt(face, row, column, above).cosine.at(place_in_texel);
         let share = ink.solid_angle * whole * cosine;
-        self.light(index, row_index, column).add(share, &ink.radiance);
+        self.light(index).add(share, &ink.radiance);
     }
 
     /// Share of texel `index` (in memory), above the horizon, that no surface covers.
@@ -749,9 +678,7 @@ impl CubeRaster {
     /// Radiance of the lamps in texel `index` (in memory), whose light is not in [`TexelChunk::radiance`], times the share of it they show.
     #[must_use]
     pub fn lamp_radiance(&self, index: usize) -> [f32; 3] {
-        let (row_index, column) = (index / self.stride, index % self.stride);
-        let is_lit = self.lit[row_index] >> column & 1 != 0;
-        if is_lit { self.lights[index].lamp_radiance } else { [0.0; 3] }
+        if self.lit.contains(index) { self.lights[index].lamp_radiance } else { [0.0; 3] }
     }
 
     /// Texels `8 index ..` in memory; none where all of them are below the horizon.
@@ -781,8 +708,7 @@ impl CubeRaster {
                 }
             }
         }
-        let (row_index, column) = (start / self.stride, start % self.stride);
-        let lit = self.lit[row_index] >> column & ((1 << LANES) - 1);
+        let lit = self.lit.eight(start);
         chunk.is_lit = lit != 0;
         if chunk.is_lit {
             for lane in (0..LANES).filter(|lane| lit >> lane & 1 != 0) {
@@ -803,6 +729,14 @@ impl CubeRaster {
     pub fn shines(&self) -> bool {
         self.shines
     }
+}
+
+/// The whole part of a number from 0 up to 2²², in few instructions; of a whole one, it may be one less.
+#[inline(always)]
+fn whole(x: f32) -> u32 {
+    // From 2²³ on, numbers are whole: a sum is rounded to the nearest one, which the lowest bits hold.
+    const TO_WHOLE: f32 = (1 << 23) as f32;
+    (larger(x - 0.5, 0.0) + TO_WHOLE).to_bits() - TO_WHOLE.to_bits()
 }
 
 /// The smaller of two indices.

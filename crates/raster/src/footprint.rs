@@ -2,99 +2,55 @@
 
 use pbgi_math::{CubeFace, Vec3, larger, smaller};
 
-use crate::shape::turn;
-
-/// A rectangle in the coordinates of a cube face, inside −1..=1.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct FaceRectangle {
-    /// Face index, see [`CubeFace`].
-    pub face: u8,
-    /// Smallest u.
-    pub u0: f32,
-    /// Largest u.
-    pub u1: f32,
-    /// Smallest v.
-    pub v0: f32,
-    /// Largest v.
-    pub v1: f32,
-}
-
-/// A box in the coordinates (depth, u, v) of a face.
+/// A vector in the coordinates (depth, u, v) of a face.
 #[inline(always)]
-fn turn_box(low: Vec3, high: Vec3, face: CubeFace) -> (Vec3, Vec3) {
-    let (a, b) = (turn(low, face), turn(high, face));
-    // The depth may have changed its sign, and its ends their order.
-    (Vec3::new(smaller(a.x, b.x), a.y, a.z), Vec3::new(larger(a.x, b.x), b.y, b.z))
-}
-
-/// Rectangle around the projection of the box `low..=high` (relative to the cube's center) on
-/// `face`, or none where the box does not reach into that face's pyramid.
-#[inline(always)]
-fn project_on_face(low: Vec3, high: Vec3, face: CubeFace) -> Option<FaceRectangle> {
-    let (low, high) = turn_box(low, high, face);
-    let far = high.x;
-    // Inside the pyramid the depth exceeds |u| and |v| of every point.
-    let reach = |low: f32, high: f32| larger(low, -high);
-    let near = larger(larger(low.x, 0.0), larger(reach(low.y, high.y), reach(low.z, high.z)));
-    if far < near || far <= 0.0 {
-        return None;
-    }
-    let inverse_near = 1.0 / larger(near, far * 1e-6);
-    let inverse_far = 1.0 / far;
-    let project_low = |x: f32| x * if x < 0.0 { inverse_near } else { inverse_far };
-    let project_high = |x: f32| x * if x > 0.0 { inverse_near } else { inverse_far };
-    let (u0, u1) = (larger(project_low(low.y), -1.0), smaller(project_high(high.y), 1.0));
-    let (v0, v1) = (larger(project_low(low.z), -1.0), smaller(project_high(high.z), 1.0));
-    (u0 <= u1 && v0 <= v1).then_some(FaceRectangle { face: face.0, u0, u1, v0, v1 })
-}
-
-/// The face a direction falls on.
-#[inline(always)]
-fn main_face(d: Vec3) -> CubeFace {
-    let a = d.abs();
-    let yz = if a.y >= a.z { (2, d.y, a.y) } else { (4, d.z, a.z) };
-    let (base, along, _) = if a.x >= yz.2 { (0, d.x, a.x) } else { yz };
-    CubeFace(base + u8::from(along < 0.0))
+pub(crate) fn turn(p: Vec3, face: CubeFace) -> Vec3 {
+    // Read from a ring: which axis it is cannot be predicted, a branch would cost more.
+    let ring = [p.x, p.y, p.z, p.x, p.y, 0.0];
+    let axis = face.axis() & 3;
+    Vec3::new(ring[axis] * face.sign(), ring[axis + 1], ring[axis + 2])
 }
 
 /// Coordinates below this are inside a face: 1 but for what a product with a reciprocal may be rounded by. A flat box that stands on the border
 /// of two faces must not be taken for one inside a face.
 const INSIDE: f32 = 1.0 - 4.0 * f32::EPSILON;
 
-/// Visits the rectangles of the box `low..=high` on all faces it reaches, at most six. The box is given
-/// relative to the cube's center, which it must not contain.
+/// Rectangles around the projections of eight boxes: smallest and largest u, smallest and largest v, inside −1..=1.
+pub(crate) type Rectangles = [[f32; BOXES]; 4];
+
+/// Rectangle around the projection of a box on a face, from the ends of the box along the face's axis, u and v; and whether there is any.
 #[inline(always)]
-pub(crate) fn project_box(low: Vec3, high: Vec3, mut visit: impl FnMut(&FaceRectangle)) {
-    let face = main_face(low + high);
-    if let Some(main) = project_on_face(low, high, face) {
-        // Strictly inside one face: the common case by far.
-        if larger(larger(-main.u0, main.u1), larger(-main.v0, main.v1)) < INSIDE {
-            visit(&main);
-            return;
-        }
-        // All of it before the face: what reaches over the face's borders falls on the faces beside it, and nothing on the one behind.
-        if turn_box(low, high, face).0.x > 0.0 {
-            visit(&main);
-            let axis = face.axis() as u8;
-            for (axis, low_end, high_end) in
-                [((axis + 1) % 3, main.u0, main.u1), ((axis + 2) % 3, main.v0, main.v1)]
-            {
-                for (side, end) in [(0, high_end), (1, -low_end)] {
-                    if end >= INSIDE
-                        && let Some(beside) = project_on_face(low, high, CubeFace(2 * axis + side))
-                    {
-                        visit(&beside);
-                    }
-                }
-            }
-            return;
-        }
+fn project([first, far]: [f32; 2], [ul, uh]: [f32; 2], [vl, vh]: [f32; 2]) -> ([f32; 4], bool) {
+    // Inside the face's pyramid the depth exceeds |u| and |v| of every point.
+    let near = larger(larger(first, 0.0), larger(larger(ul, -uh), larger(vl, -vh)));
+    let inverse_near = 1.0 / larger(near, far * 1e-6);
+    let inverse_far = 1.0 / far;
+    let u0 = larger(ul * if ul < 0.0 { inverse_near } else { inverse_far }, -1.0);
+    let u1 = smaller(uh * if uh > 0.0 { inverse_near } else { inverse_far }, 1.0);
+    let v0 = larger(vl * if vl < 0.0 { inverse_near } else { inverse_far }, -1.0);
+    let v1 = smaller(vh * if vh > 0.0 { inverse_near } else { inverse_far }, 1.0);
+    let is_there = (near <= far) & (far > 0.0) & (u0 <= u1) & (v0 <= v1);
+    ([u0, u1, v0, v1], is_there)
+}
+
+/// The rectangles of the box `low..=high` on all faces, and bits that tell on which there is one, by the face's number. The box is given relative to the cube's
+/// center, which it must not contain.
+#[inline(always)]
+pub(crate) fn project_box(low: Vec3, high: Vec3) -> (u8, Rectangles) {
+    // Faces side by side; the last two lanes are none.
+    let ([lx, ly, lz], [hx, hy, hz]) = (low.to_array(), high.to_array());
+    let first = [lx, -hx, ly, -hy, lz, -hz, 0.0, 0.0];
+    let far = [hx, -lx, hy, -ly, hz, -lz, 0.0, 0.0];
+    let (ul, uh) = ([ly, ly, lz, lz, lx, lx, 0.0, 0.0], [hy, hy, hz, hz, hx, hx, 0.0, 0.0]);
+    let (vl, vh) = ([lz, lz, lx, lx, ly, ly, 0.0, 0.0], [hz, hz, hx, hx, hy, hy, 0.0, 0.0]);
+    let (mut found, mut is_there) = ([[0.0; BOXES]; 4], [0; BOXES]);
+    for i in 0..BOXES {
+        let ([u0, u1, v0, v1], there) = project([first[i], far[i]], [ul[i], uh[i]], [vl[i], vh[i]]);
+        (found[0][i], found[1][i], found[2][i], found[3][i]) = (u0, u1, v0, v1);
+        is_there[i] = u8::from(there) << i;
     }
-    for face in CubeFace::ALL {
-        if let Some(rectangle) = project_on_face(low, high, face) {
-            visit(&rectangle);
-        }
-    }
+    let faces = is_there.into_iter().fold(0, |faces, there| faces | there);
+    (faces, found)
 }
 
 /// Boxes that are looked at together.
@@ -106,7 +62,7 @@ pub const BOXES: usize = 8;
 pub(crate) fn project_inside(
     low: &[[f32; BOXES]; 3],
     high: &[[f32; BOXES]; 3],
-) -> ([i32; BOXES], [[f32; BOXES]; 4]) {
+) -> ([i32; BOXES], Rectangles) {
     let (mut faces, mut rectangles) = ([0; BOXES], [[0.0; BOXES]; 4]);
     for i in 0..BOXES {
         let (lx, ly, lz) = (low[0][i], low[1][i], low[2][i]);
@@ -124,15 +80,8 @@ pub(crate) fn project_inside(
         let (vl, vh) = (pick(lz, lx, ly), pick(hz, hx, hy));
         let is_negative = dl + dh < 0.0;
         let (first, far) = if is_negative { (-dh, -dl) } else { (dl, dh) };
-        let near = larger(larger(first, 0.0), larger(larger(ul, -uh), larger(vl, -vh)));
-        let inverse_near = 1.0 / larger(near, far * 1e-6);
-        let inverse_far = 1.0 / far;
-        let project_low = |x: f32| x * if x < 0.0 { inverse_near } else { inverse_far };
-        let project_high = |x: f32| x * if x > 0.0 { inverse_near } else { inverse_far };
-        let (u0, u1) = (larger(project_low(ul), -1.0), smaller(project_high(uh), 1.0));
-        let (v0, v1) = (larger(project_low(vl), -1.0), smaller(project_high(vh), 1.0));
+        let ([u0, u1, v0, v1], is_there) = project([first, far], [ul, uh], [vl, vh]);
         let reach = larger(larger(-u0, u1), larger(-v0, v1));
-        let is_there = (near <= far) & (far > 0.0) & (u0 <= u1) & (v0 <= v1);
         let axis = if is_x { 0 } else { 4 - 2 * i32::from(is_y) };
         let is_inside = is_there & (reach < INSIDE);
         faces[i] = if is_inside { axis + i32::from(is_negative) } else { 255 };
@@ -148,10 +97,13 @@ pub(crate) fn project_inside(
 mod tests {
     use super::*;
 
-    fn rectangles(low: Vec3, high: Vec3) -> Vec<FaceRectangle> {
-        let mut rectangles = Vec::new();
-        project_box(low, high, |r| rectangles.push(*r));
-        rectangles
+    /// A rectangle on a face: the face, and smallest and largest u and v.
+    type OnFace = (u8, [f32; 4]);
+
+    fn rectangles(low: Vec3, high: Vec3) -> Vec<OnFace> {
+        let (faces, planes) = project_box(low, high);
+        let faces = (0..BOXES).filter(|face| faces >> face & 1 != 0);
+        faces.map(|face| (face as u8, planes.each_ref().map(|plane| plane[face]))).collect()
     }
 
     /// Directions toward random points of the box.
@@ -182,16 +134,15 @@ mod tests {
                     |of: &[[f32; BOXES]; 3]| Vec3::from_array([0, 1, 2].map(|i| of[i][lane]));
                 let expected = rectangles(corner(&low), corner(&high));
                 if faces[lane] == 255 {
-                    let on_border = expected
-                        .iter()
-                        .all(|r| larger(larger(-r.u0, r.u1), larger(-r.v0, r.v1)) >= INSIDE);
-                    assert!(expected.len() != 1 || on_border, "{expected:?}");
+                    let on_border = |(_, [u0, u1, v0, v1]): &OnFace| {
+                        larger(larger(-u0, *u1), larger(-v0, *v1)) >= INSIDE
+                    };
+                    assert!(expected.len() != 1 || expected.iter().all(on_border), "{expected:?}");
                     continue;
                 }
                 inside_count += 1;
-                let [u0, u1, v0, v1] = planes.each_ref().map(|plane| plane[lane]);
                 let face = faces[lane] as u8;
-                assert_eq!(expected, [FaceRectangle { face, u0, u1, v0, v1 }]);
+                assert_eq!(expected, [(face, planes.each_ref().map(|plane| plane[lane]))]);
             }
         }
         assert!(inside_count > 10_000, "{inside_count}");
@@ -199,54 +150,51 @@ mod tests {
 
     #[test]
     fn every_point_of_a_box_falls_into_its_rectangles() {
-        let boxes = [
+        let mut boxes = vec![
             (Vec3::new(1.0, -0.2, -0.3), Vec3::new(1.5, 0.4, 0.1)),
             (Vec3::new(0.8, 0.7, -0.3), Vec3::new(1.2, 1.3, 0.2)),
             (Vec3::new(-2.0, -1.1, -1.3), Vec3::new(2.0, -1.0, 1.9)),
             (Vec3::new(-1.1, -1.2, -1.3), Vec3::new(-0.9, -0.8, -0.7)),
             (Vec3::new(0.1, -5.0, -5.0), Vec3::new(0.2, 5.0, 5.0)),
         ];
+        let mut seed = 7;
+        for _ in 0..300 {
+            let mut vector = || {
+                let mut random = || crate::random(&mut seed);
+                Vec3::new(random(), random(), random())
+            };
+            let low = vector();
+            let high = low + vector().abs();
+            if low.cmpgt(Vec3::ZERO).any() || high.cmplt(Vec3::ZERO).any() {
+                boxes.push((low, high));
+            }
+        }
+        let mut several = 0;
         for (low, high) in boxes {
             let rectangles = rectangles(low, high);
+            several += usize::from(rectangles.len() > 1);
             for p in points(low, high) {
                 let (face, u, v) = CubeFace::from_direction(p);
-                let inside = rectangles.iter().any(|r| {
+                let inside = rectangles.iter().any(|(on, [u0, u1, v0, v1])| {
                     let e = 1e-5;
-                    r.face == face.0
-                        && (r.u0 - e..=r.u1 + e).contains(&u)
-                        && (r.v0 - e..=r.v1 + e).contains(&v)
+                    *on == face.0
+                        && (u0 - e..=u1 + e).contains(&u)
+                        && (v0 - e..=v1 + e).contains(&v)
                 });
                 assert!(inside, "{low} {high}: {p}");
             }
         }
+        assert!(several > 100, "{several}");
     }
 
     #[test]
-    fn no_face_that_a_box_reaches_is_left_out() {
-        let mut seed = 7;
-        let mut random = || crate::random(&mut seed);
-        let mut several = 0;
-        for _ in 0..20_000 {
-            let mut vector = || Vec3::new(random(), random(), random());
-            let (low, size) = (vector(), vector().abs());
-            let high = low + size;
-            if low.cmple(Vec3::ZERO).all() && high.cmpge(Vec3::ZERO).all() {
-                continue;
-            }
-            let on_all = CubeFace::ALL.into_iter().filter_map(|f| project_on_face(low, high, f));
-            let expected: Vec<_> = on_all.collect();
-            let mut found = rectangles(low, high);
-            found.sort_by_key(|r| r.face);
-            let is_area = |r: &&FaceRectangle| r.u0 < r.u1 && r.v0 < r.v1;
-            let found: Vec<_> = found.iter().filter(is_area).collect();
-            let expected: Vec<_> = expected.iter().filter(is_area).collect();
-            // Inside of one face, what touches another by its border alone is left out.
-            if found.len() > 1 {
-                several += 1;
-                assert_eq!(found, expected, "{low} {high}");
-            }
-        }
-        assert!(several > 5_000, "{several}");
+    fn rectangles_reach_no_farther_than_their_box() {
+        // Each end of a rectangle is that of a corner, or the face's border.
+        let (low, high) = (Vec3::new(-0.5, -0.5, -2.0), Vec3::new(0.5, 0.5, -2.0));
+        assert_eq!(rectangles(low, high), [(5, [-0.25, 0.25, -0.25, 0.25])]);
+        let (low, high) = (Vec3::new(2.0, 1.0, -0.5), Vec3::new(4.0, 8.0, 0.5));
+        let found = rectangles(low, high);
+        assert_eq!(found, [(0, [0.25, 1.0, -0.25, 0.25]), (2, [-0.25, 0.25, 0.25, 1.0])]);
     }
 
     #[test]
@@ -260,14 +208,5 @@ mod tests {
             let rectangles = rectangles(low, high);
             assert_eq!(rectangles.len(), 2, "{depth}: {rectangles:?}");
         }
-    }
-
-    #[test]
-    fn flat_boxes_facing_the_center_are_their_rectangles() {
-        let (low, high) = (Vec3::new(-0.5, -0.5, -2.0), Vec3::new(0.5, 0.5, -2.0));
-        let rectangles = rectangles(low, high);
-        assert_eq!(rectangles.len(), 1);
-        let r = rectangles[0];
-        assert_eq!((r.u0, r.u1, r.v0, r.v1), (-0.25, 0.25, -0.25, 0.25));
     }
 }

@@ -30,9 +30,9 @@ pub trait Lanes: Copy + sealed::Sealed {
     fn bits(mask: Self::Mask) -> u16;
     /// Quotient.
     fn div(self, other: Self) -> Self;
-    /// Lanes whose cell is set, of eight rows of eight bits: `self` is the column, `row` the row, both counted from 0 along the whole edge; lanes
-    /// outside of 0 … 8 are in no cell.
-    fn in_cells(self, row: Self, cells: u64) -> u16;
+    /// Lanes whose cell is set, of eight rows of eight bits, and whose `sign` is not negative: `self` is the column, `row` the row, both counted from 0 along
+    /// the whole edge; lanes outside of 0 … 8 are in no cell.
+    fn in_cells(self, row: Self, sign: Self, cells: u64) -> u16;
     /// Writes the lanes whose bits are set.
     fn store_where(self, bits: u16, to: &mut [f32; SAMPLES]);
 }
@@ -106,11 +106,11 @@ impl Lanes for Plain {
         self.zip(other, |a, b| a / b)
     }
     #[inline(always)]
-    fn in_cells(self, row: Self, cells: u64) -> u16 {
+    fn in_cells(self, row: Self, sign: Self, cells: u64) -> u16 {
         let mut bits = 0;
         for lane in 0..SAMPLES {
-            let (a, b) = (self.0[lane], row.0[lane]);
-            if (0.0..8.0).contains(&a) && (0.0..8.0).contains(&b) {
+            let (a, b, is_there) = (self.0[lane], row.0[lane], sign.0[lane].is_sign_positive());
+            if is_there && (0.0..8.0).contains(&a) && (0.0..8.0).contains(&b) {
                 let cell = 8 * b as u32 + a as u32;
                 bits |= ((cells >> cell & 1) as u16) << lane;
             }
@@ -200,10 +200,10 @@ pub(crate) mod x86 {
             unsafe { Self(_mm256_div_ps(self.0, o.0), _mm256_div_ps(self.1, o.1)) }
         }
         #[inline(always)]
-        fn in_cells(self, row: Self, cells: u64) -> u16 {
+        fn in_cells(self, row: Self, sign: Self, cells: u64) -> u16 {
             unsafe {
                 let rows = _mm256_cvtepu8_epi32(_mm_set_epi64x(0, cells as i64));
-                let half = |a: __m256, b: __m256| {
+                let half = |a: __m256, b: __m256, sign: __m256| {
                     // Whole numbers below 0 and from 8 on are large without a sign.
                     let (a, b) = (
                         _mm256_cvttps_epi32(_mm256_floor_ps(a)),
@@ -214,9 +214,11 @@ pub(crate) mod x86 {
                     let bit = _mm256_slli_epi32::<31>(_mm256_srlv_epi32(row, a));
                     let high = _mm256_andnot_si256(_mm256_set1_epi32(7), b);
                     let is_row = _mm256_cmpeq_epi32(high, _mm256_setzero_si256());
-                    _mm256_movemask_ps(_mm256_castsi256_ps(_mm256_and_si256(bit, is_row)))
+                    let is_set = _mm256_castsi256_ps(_mm256_and_si256(bit, is_row));
+                    // Of both, the highest bits count.
+                    _mm256_movemask_ps(_mm256_andnot_ps(sign, is_set))
                 };
-                (half(self.0, row.0) | half(self.1, row.1) << 8) as u16
+                (half(self.0, row.0, sign.0) | half(self.1, row.1, sign.1) << 8) as u16
             }
         }
         #[inline(always)]
@@ -285,7 +287,7 @@ pub(crate) mod x86 {
             Self(unsafe { _mm512_div_ps(self.0, o.0) })
         }
         #[inline(always)]
-        fn in_cells(self, row: Self, cells: u64) -> u16 {
+        fn in_cells(self, row: Self, sign: Self, cells: u64) -> u16 {
             unsafe {
                 let rows = _mm512_cvtepu8_epi32(_mm_set_epi64x(0, cells as i64));
                 let floor = |x: __m512| _mm512_cvttps_epi32(_mm512_roundscale_ps::<1>(x));
@@ -294,7 +296,8 @@ pub(crate) mod x86 {
                 let is_row = _mm512_cmplt_epu32_mask(b, _mm512_set1_epi32(8));
                 let row = _mm512_permutexvar_epi32(b, rows);
                 let bit = _mm512_srlv_epi32(row, a);
-                _mm512_test_epi32_mask(bit, _mm512_set1_epi32(1)) & is_row
+                let is_negative = _mm512_movepi32_mask(_mm512_castps_si512(sign.0));
+                _mm512_test_epi32_mask(bit, _mm512_set1_epi32(1)) & is_row & !is_negative
             }
         }
         #[inline(always)]

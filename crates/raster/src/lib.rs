@@ -11,12 +11,11 @@ mod samples;
 mod shape;
 mod simd;
 mod table;
+mod texel_bits;
 mod texel_light;
 mod window;
 
-pub use cube::{
-    CubeRaster, Footprint, FootprintCode, Ink, NO_FOOTPRINT_CODE, SHAPES_MAX, TexelChunk,
-};
+pub use cube::{CubeRaster, FootprintCode, Ink, NO_FOOTPRINT_CODE, TexelChunk};
 pub use lanes::{Lanes, SAMPLES};
 pub use lobe::{LobeInk, LobeRaster};
 pub use samples::Veil;

@@ -1,7 +1,8 @@
 //! What is drawn: pieces of planes, cut out by boxes, circles, rectangles or triangles, and which directions meet them.
 
+use crate::footprint::turn;
 use crate::lanes::Lanes;
-use pbgi_math::{CubeFace, STENCIL_EDGE, Stencil, Vec3};
+use pbgi_math::{CubeFace, STENCIL_EDGE, Stencil, Vec3, larger, smaller};
 
 /// A part of a plane that does not contain the receiver.
 ///
@@ -111,15 +112,6 @@ impl Met {
     }
 }
 
-/// A vector in the coordinates (depth, u, v) of a face.
-#[inline(always)]
-pub(crate) fn turn(p: Vec3, face: CubeFace) -> Vec3 {
-    // Read from a ring: which axis it is cannot be predicted, a branch would cost more.
-    let ring = [p.x, p.y, p.z, p.x, p.y, 0.0];
-    let axis = face.axis() & 3;
-    Vec3::new(ring[axis] * face.sign(), ring[axis + 1], ring[axis + 2])
-}
-
 // Functions and not closures, which are not always inlined: code that is not is compiled without the instructions of the lanes.
 
 /// Lanes of `d` from `low` to `high` times `w`.
@@ -152,19 +144,38 @@ fn is_far<L: Lanes>([x, y, z]: [L; 3], w: L, distance_min: f32) -> L::Mask {
     w.mul(w).mul(L::splat(distance_min * distance_min)).le(length2(x, y, z))
 }
 
-/// The part of a plane inside a box, relative to the receiver.
+/// The part of a plane inside a box, relative to the receiver, or of that what lies in the cells of a stencil.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Section {
-    /// See [`Shape::inverse`].
-    pub inverse: Vec3,
-    /// Smallest corner of the box.
-    pub low: Vec3,
-    /// Largest corner, larger along every axis.
-    pub high: Vec3,
-    /// Where in the box the piece lies, seen along `axis`; all of the section where it is full.
-    pub stencil: Stencil,
-    /// Axis along which the stencil is looked at.
-    pub axis: u8,
+    inverse: Vec3,
+    /// Corners of the box; with a stencil, what times a direction is `w` times the column of its cell, and the same of its row.
+    bounds: [Vec3; 2],
+    stencil: Stencil,
+}
+
+impl Section {
+    /// The part of the plane of [`Shape::inverse`] in a box, of which the corner `high` is larger along every axis.
+    #[must_use]
+    #[inline(always)]
+    pub fn new(inverse: Vec3, low: Vec3, high: Vec3) -> Self {
+        Self { inverse, bounds: [low, high], stencil: Stencil::FULL }
+    }
+
+    /// What of the plane lies in the cells of a stencil of the box, seen along `axis`; all of the section where the stencil is full.
+    #[must_use]
+    #[inline(always)]
+    pub fn stenciled(
+        inverse: Vec3,
+        [low, high]: [Vec3; 2],
+        (stencil, axis): (Stencil, usize),
+    ) -> Self {
+        if stencil == Stencil::FULL {
+            return Self::new(inverse, low, high);
+        }
+        let (lows, scales) = (low.to_array(), (STENCIL_EDGE as f32 / (high - low)).to_array());
+        let cell = |across: usize| (Vec3::AXES[across] - inverse * lows[across]) * scales[across];
+        Self { inverse, bounds: [cell((axis + 1) % 3), cell((axis + 2) % 3)], stencil }
+    }
 }
 
 impl Shape for Section {
@@ -175,34 +186,24 @@ impl Shape for Section {
 
     #[inline(always)]
     fn turned(&self, face: CubeFace) -> Self {
-        let (mut low, mut high) = (turn(self.low, face), turn(self.high, face));
-        // With a stencil corners keep their order: along the face's axis the low one may be the larger.
+        let [mut low, mut high] = self.bounds.map(|corner| turn(corner, face));
         if self.stencil == Stencil::FULL {
-            (low, high) = (low.min(high), low.max(high));
+            // Along the face's axis the low corner may be the larger one now.
+            (low.x, high.x) = (smaller(low.x, high.x), larger(low.x, high.x));
         }
-        let axis = (self.axis + 3 - (face.axis() & 3) as u8) % 3;
-        Self { inverse: turn(self.inverse, face), low, high, axis, ..*self }
+        Self { inverse: turn(self.inverse, face), bounds: [low, high], stencil: self.stencil }
     }
 
     /// The point `D/w` is inside where `low·w ≤ D ≤ high·w` along every axis. No negative `w` satisfies both.
     #[inline(always)]
     fn meets<L: Lanes>(&self, direction: [L; 3], w: L) -> Met {
-        let [x, y, z] = direction;
+        let [low, high] = self.bounds;
         if self.stencil != Stencil::FULL {
-            let (a, b, at) = match self.axis {
-                0 => (y, z, [1, 2]),
-                1 => (z, x, [2, 0]),
-                _ => (x, y, [0, 1]),
-            };
             let far = L::splat(1.0).div(w);
-            let cell = |along: L, i: usize| {
-                let scale = STENCIL_EDGE as f32 / (self.high[at[i]] - self.low[at[i]]);
-                along.mul(far).sub(L::splat(self.low[at[i]])).mul(L::splat(scale))
-            };
-            let in_front = L::bits(L::splat(f32::MIN_POSITIVE).le(w));
-            return Met::inside(cell(a, 0).in_cells(cell(b, 1), self.stencil.0) & in_front);
+            let (column, row) = (along(direction, low).mul(far), along(direction, high).mul(far));
+            return Met::inside(column.in_cells(row, far, self.stencil.0));
         }
-        let (low, high) = (self.low, self.high);
+        let [x, y, z] = direction;
         let xy = L::and(slab(x, w, low.x, high.x), slab(y, w, low.y, high.y));
         Met::inside(L::bits(L::and(xy, slab(z, w, low.z, high.z))))
     }
@@ -427,18 +428,14 @@ mod tests {
             let (center, half) = (vector() * 2.0, vector().abs() + 0.05);
             let axis = pbgi_math::stencil_axis(normal);
             let bits = u64::from(vector().x.to_bits()) << 32 | u64::from(vector().y.to_bits());
-            let section = Section {
-                inverse: normal / normal.dot(center),
-                low: center - half,
-                high: center + half,
-                stencil: Stencil(bits),
-                axis: axis as u8,
-            };
+            let (low, stencil) = (center - half, Stencil(bits));
+            let inverse = normal / normal.dot(center);
+            let section = Section::stenciled(inverse, [low, center + half], (stencil, axis));
             let directions = std::array::from_fn(|_| center + vector() * 1.2);
             let mut expected = 0u16;
             for (lane, d) in directions.iter().enumerate() {
                 let w = section.inverse.dot(*d);
-                let cell = (*d / w - section.low) / (2.0 * half) * STENCIL_EDGE as f32;
+                let cell = (*d / w - low) / (2.0 * half) * STENCIL_EDGE as f32;
                 let [a, b] = [cell[(axis + 1) % 3], cell[(axis + 2) % 3]];
                 let inside = w > 0.0 && (0.0..8.0).contains(&a) && (0.0..8.0).contains(&b);
                 let is_met = inside && bits >> (8 * b as u32 + a as u32) & 1 != 0;

@@ -2,7 +2,7 @@
 
 use pbgi_math::{CubeMap, CubeTexel, Vec3};
 
-/// Texels that are convolved together; rows are padded to a multiple.
+/// Texels that are convolved together; rows are padded to no fewer.
 pub const LANES: usize = 8;
 
 /// Geometry of the texels, in padded rows.
@@ -23,7 +23,7 @@ impl CubeRasterTable {
     pub fn new(n: usize) -> Self {
         assert!((1..=64).contains(&n), "1 to 64 texels along a face");
         let map = CubeMap::new(n);
-        let stride = n.next_multiple_of(LANES);
+        let stride = n.next_power_of_two().max(LANES);
         let outside = CubeTexel { direction: Vec3::Z, solid_angle_sr: 0.0, vector: Vec3::ZERO };
         let mut texels = vec![outside; 6 * n * stride];
         for index in 0..map.texel_count() {
@@ -39,7 +39,7 @@ impl CubeRasterTable {
         self.map.edge()
     }
 
-    /// Texels of a row in memory: `edge` rounded up to [`LANES`].
+    /// Texels of a row in memory: a power of two, no less than `edge` and [`LANES`].
     #[must_use]
     #[inline(always)]
     pub fn stride(&self) -> usize {

@@ -166,7 +166,7 @@ mod tests {
         let axis = window.frame.normal;
         let center = axis * 100.0;
         let (low, high) = (center - 10.0, center + 10.0);
-        let section = Section { inverse: axis / 100.0, low, high, ..Section::default() };
+        let section = Section::new(axis / 100.0, low, high);
         let mut open = 0.0;
         for seed in 0..200 {
             let mut raster = WindowRaster::default();

@@ -14,13 +14,9 @@ fn ink(solid_angle: f32, light: f32) -> Ink {
 /// Draws the part of the plane through `point` with `normal` in a box.
 fn draw_section(raster: &mut CubeRaster, (low, high): (Vec3, Vec3), normal: Vec3, ink: &Ink) {
     let point = (low + high) * 0.5;
-    let section = Section { inverse: normal / normal.dot(point), low, high, ..Section::default() };
-    let footprint = raster.footprint(low, high);
-    raster.draw::<Plain, _>(&[(section, *ink)], &footprint, point);
-}
-
-fn is_box_open(raster: &CubeRaster, low: Vec3, high: Vec3) -> bool {
-    raster.is_open(&raster.footprint(low, high))
+    let section = Section::new(normal / normal.dot(point), low, high);
+    raster.look_at_box(low, high);
+    raster.draw::<Plain, _>(&section, ink, point);
 }
 
 fn irradiance(raster: &CubeRaster, table: &CubeRasterTable, normal: Vec3) -> f32 {
@@ -41,8 +37,8 @@ fn disk_irradiance(n: usize, center: Vec3, normal: Vec3, receiver_normal: Vec3) 
     let inverse = normal / normal.dot(center);
     let disk = Disk { inverse, center, radius: 1.0, reach: 1.0, ..Disk::default() };
     let aabb = Aabb::from_disk(center, normal, 1.0);
-    let footprint = raster.footprint(aabb.min, aabb.max);
-    raster.draw::<Plain, _>(&[(disk, ink(1.0, 1.0))], &footprint, center);
+    raster.look_at_box(aabb.min, aabb.max);
+    raster.draw::<Plain, _>(&disk, &ink(1.0, 1.0), center);
     irradiance(&raster, &table, receiver_normal)
 }
 
@@ -109,10 +105,10 @@ fn small_pieces_carry_their_solid_angle_wherever_they_fall() {
             let (center, solid_angle) = (d * 5.0, PI * radius * radius / 25.0);
             let disk = Disk { inverse: d / 5.0, center, radius, reach: radius, ..Disk::default() };
             let aabb = Aabb::from_disk(center, d, radius);
-            let footprint = raster.footprint(aabb.min, aabb.max);
-            raster.draw::<Plain, _>(&[(disk, ink(solid_angle, 1.0))], &footprint, center);
+            raster.look_at_box(aabb.min, aabb.max);
+            raster.draw::<Plain, _>(&disk, &ink(solid_angle, 1.0), center);
             let texels = table.texels().iter().enumerate();
-            let is_lit = |i: usize| raster.lit[i / raster.stride] >> (i % raster.stride) & 1 != 0;
+            let is_lit = |i: usize| raster.lit.contains(i);
             let lit = texels.filter(|(i, _)| is_lit(*i) && raster.lights[*i].radiance[0] > 0.0);
             let found: f32 = lit
                 .map(|(i, t)| {
@@ -164,7 +160,7 @@ fn tiles_of_a_closed_box_leave_no_sample_open() {
     }
     let found = irradiance(&raster, &table, Vec3::Y);
     assert!((found / (2.0 * PI) - 1.0).abs() < 2e-3, "{found}");
-    assert!(!is_box_open(&raster, Vec3::splat(3.0), Vec3::splat(3.5)));
+    assert!(!raster.look_at_box(Vec3::splat(3.0), Vec3::splat(3.5)));
 }
 
 /// Draws an opaque tile of radiance 1, its edges scaled by `scale`, with a rim of this share of them.
@@ -183,8 +179,8 @@ fn draw_tile(raster: &mut CubeRaster, center: Vec3, halves: [Vec3; 2], [scale, r
     let (d2, area) = (center.length_squared(), 4.0 * halves[0].length() * halves[1].length());
     let ink = ink(area * normal.dot(center).abs() / (d2 * d2.sqrt()), 1.0);
     let reach = edges[0].abs() * tile.reach[0] + edges[1].abs() * tile.reach[1];
-    let footprint = raster.footprint(center - reach, center + reach);
-    raster.draw::<Plain, _>(&[(tile, ink)], &footprint, center);
+    raster.look_at_box(center - reach, center + reach);
+    raster.draw::<Plain, _>(&tile, &ink, center);
 }
 
 #[test]
@@ -271,8 +267,8 @@ fn a_lattice_of_disks_is_closed_and_ends_where_it_ends() {
             let place = Place { number: cell + 1, distance: center.length(), apart: 2.0 * reach };
             let inverse = Vec3::Y;
             let disk = Disk { inverse, center, radius, reach, ground, place, ..Disk::default() };
-            let footprint = raster.footprint(center - reach, center + reach);
-            raster.draw::<Plain, _>(&[(disk, ink(0.01, 0.0))], &footprint, center);
+            raster.look_at_box(center - reach, center + reach);
+            raster.draw::<Plain, _>(&disk, &ink(0.01, 0.0), center);
         }
         let start = usize::from(CubeFace::from_direction(Vec3::Y).0.0) * 16 * table.stride();
         let samples = raster.covered.iter().zip(&raster.above).map(|(c, a)| (c & a).count_ones());
@@ -394,8 +390,8 @@ fn samples_below_the_horizon_do_not_count() {
     let mut raster = CubeRaster::new(&table, false);
     let normal = Vec3::new(0.3, 0.8, -0.2).normalize();
     raster.clear::<Plain>(normal);
-    assert!(!is_box_open(&raster, Vec3::new(-0.1, -3.0, -0.1), Vec3::new(0.1, -2.0, 0.1)));
-    assert!(is_box_open(&raster, Vec3::new(-0.1, 2.0, -0.1), Vec3::new(0.1, 3.0, 0.1)));
+    assert!(!raster.look_at_box(Vec3::new(-0.1, -3.0, -0.1), Vec3::new(0.1, -2.0, 0.1)));
+    assert!(raster.look_at_box(Vec3::new(-0.1, 2.0, -0.1), Vec3::new(0.1, 3.0, 0.1)));
     for (i, texel) in table.texels().iter().enumerate() {
         let above = f32::from(texel.direction.dot(normal) > 0.2);
         let below = f32::from(texel.direction.dot(normal) < -0.2);
@@ -411,6 +407,7 @@ fn two_triangles_are_their_rectangle() {
     let covered = |draw: &dyn Fn(&mut CubeRaster)| {
         let mut raster = CubeRaster::new(&table, false);
         raster.clear::<Plain>(Vec3::Y);
+        raster.look_at_box(Vec3::NEG_ONE, Vec3::ONE);
         draw(&mut raster);
         raster.covered.iter().zip(&raster.above).map(|(c, a)| c & a).collect::<Vec<u16>>()
     };
@@ -423,12 +420,11 @@ fn two_triangles_are_their_rectangle() {
         let (u, v) = (edges[0] * half[0], edges[1] * half[1]);
         let inverse = n / n.dot(center);
         let [a, b, c, d] = [center - u - v, center + u - v, center + u + v, center - u + v];
-        let footprint = CubeRaster::new(&table, false).footprint(Vec3::NEG_ONE, Vec3::ONE);
         let tile = Tile { inverse, center, edges, half, reach: half, ground: Vec3::Y, side: 0 };
-        let whole = covered(&|r| r.draw::<Plain, _>(&[(tile, ink(0.1, 0.0))], &footprint, center));
+        let whole = covered(&|r| r.draw::<Plain, _>(&tile, &ink(0.1, 0.0), center));
         let triangle = |corners: [Vec3; 3]| {
             let triangle = Triangle::new(inverse, corners, 0.0, Vec3::Y, 0);
-            covered(&|r| r.draw::<Plain, _>(&[(triangle, ink(0.1, 0.0))], &footprint, center))
+            covered(&|r| r.draw::<Plain, _>(&triangle, &ink(0.1, 0.0), center))
         };
         let (first, second) = (triangle([a, b, c]), triangle([d, c, a]));
         let count = |texels: &[u16]| texels.iter().map(|t| t.count_ones()).sum::<u32>();
@@ -461,21 +457,21 @@ impl WideKernel for Everything {
             let veil = Veil { start: 0.0, end: 0.6, seed: i };
             let ink = Ink { veil, ..ink(0.03, i as f32) };
             let aabb = Aabb::from_disk(center, n, radius);
-            let footprint = raster.footprint(aabb.min, aabb.max);
+            raster.look_at_box(aabb.min, aabb.max);
             let ground = Vec3::new(0.2, 3.0, 0.4);
             if i % 7 == 3 {
                 let corners = [center, center + n.any_orthonormal_vector() * 0.3, aabb.max];
                 let normal = (corners[1] - center).cross(corners[2] - center);
                 let inverse = normal / normal.dot(center);
                 let triangle = Triangle::new(inverse, corners, 0.2, ground, (i % 2) as u8);
-                raster.draw::<L, _>(&[(triangle, ink)], &footprint, center);
+                raster.draw::<L, _>(&triangle, &ink, center);
             } else if i % 3 == 2 {
                 let tangent = n.any_orthonormal_vector();
                 let (edges, half) = ([tangent, n.cross(tangent)], [0.2, 0.1]);
                 let reach = [0.25, 0.12];
                 let tile =
                     Tile { inverse, center, edges, half, reach, ground, side: (i % 2) as u8 };
-                raster.draw::<L, _>(&[(tile, ink)], &footprint, center);
+                raster.draw::<L, _>(&tile, &ink, center);
             } else if i % 3 == 1 {
                 let disk = Disk {
                     inverse,
@@ -485,11 +481,10 @@ impl WideKernel for Everything {
                     distance_min: 0.5,
                     ..Disk::default()
                 };
-                raster.draw::<L, _>(&[(disk, ink)], &footprint, center);
+                raster.draw::<L, _>(&disk, &ink, center);
             } else {
-                let section =
-                    Section { inverse, low: aabb.min, high: aabb.max, ..Section::default() };
-                raster.draw::<L, _>(&[(section, ink)], &footprint, center);
+                let section = Section::new(inverse, aabb.min, aabb.max);
+                raster.draw::<L, _>(&section, &ink, center);
             }
         }
         let chunks = (0..48).map(|i| raster.chunk(i).unwrap_or_default());
