@@ -13,7 +13,7 @@ const COVERAGE: &str = "--cfg fuzzing -Cpasses=sancov-module -Cllvm-args=-saniti
     -Cllvm-args=-sanitizer-coverage-trace-compares";
 
 /// Limits of one input: seconds, and megabytes of the process.
-const LIMITS: [&str; 2] = ["-timeout=10", "-rss_limit_mb=2048"];
+const LIMITS: [&str; 2] = ["-timeout=30", "-rss_limit_mb=2048"];
 
 /// Searches so many minutes for inputs on which a target fails, for one target after the other.
 pub fn run(workspace: &Workspace, arguments: &[&str]) -> Result<(), String> {

@@ -1,8 +1,8 @@
 //! How what a diffuse receiver gathers changes when it moves and turns, from one raster.
 
 use crate::diffuse::EnvironmentTexels;
-use pbgi_math::{CubeFace, Vec3, larger};
-use pbgi_raster::{CubeRaster, CubeRasterTable, LANES};
+use pbgi_math::{CubeFace, CubeTexel, Vec3, larger};
+use pbgi_raster::{CubeRaster, CubeRasterTable, LANES, Lanes};
 use std::f32::consts::PI;
 
 /// Quantities that are differentiated: irradiance from surfaces and from the environment, three channels each, ambient occlusion and sky
@@ -48,22 +48,85 @@ pub struct Differential {
     pub slope_sums: [f32; 2],
 }
 
-/// A texel with something in it that hides: how it grows as the receiver comes nearer.
-#[derive(Clone, Copy, Debug)]
+/// Eight texels.
+#[derive(Clone, Copy, Debug, Default)]
+struct Texels {
+    /// Unit directions.
+    directions: [[f32; LANES]; 3],
+    /// Length of `∫ d dω`.
+    lengths: [f32; LANES],
+    /// Depth along the axis of their face over distance.
+    axial: [f32; LANES],
+}
+
+impl Texels {
+    fn of(texels: &[CubeTexel]) -> Self {
+        let mut found = Self::default();
+        for (lane, texel) in texels.iter().enumerate() {
+            let direction = texel.vector.normalize_or_zero();
+            for (plane, along) in found.directions.iter_mut().zip(direction.to_array()) {
+                plane[lane] = along;
+            }
+            found.lengths[lane] = texel.vector.length();
+            found.axial[lane] = direction.abs().max_element();
+        }
+        found
+    }
+
+    /// Cosines to a normal.
+    #[inline(always)]
+    fn along(&self, normal: Vec3) -> [f32; LANES] {
+        let [x, y, z] = &self.directions;
+        let mut cosines = [0.0; LANES];
+        for lane in 0..LANES {
+            cosines[lane] = x[lane] * normal.x + y[lane] * normal.y + z[lane] * normal.z;
+        }
+        cosines
+    }
+}
+
+/// What hides in eight texels, and how it grows as the receiver comes nearer; 0 where there is nothing.
+#[derive(Clone, Copy, Debug, Default)]
 struct Looming {
     /// Of the hemisphere, weighted by cosine, what it hides; and the irradiance it would replace or bring.
-    weights: [f32; 2],
-    inverse_distance: f32,
+    weights: [[f32; LANES]; 2],
+    inverse_distance: [f32; LANES],
     /// Square of the tangent of its elevation over the receiver's plane.
-    tan2: f32,
+    tan2: [f32; LANES],
+}
+
+/// A sum of vectors, for each quantity.
+#[derive(Clone, Copy, Debug, Default)]
+struct VectorSums([[f32; QUANTITIES]; 3]);
+
+impl VectorSums {
+    /// Adds a vector times a value of each quantity.
+    #[inline(always)]
+    fn add(&mut self, vector: Vec3, values: &[f32; QUANTITIES]) {
+        for (sums, along) in self.0.iter_mut().zip(vector.to_array()) {
+            for i in 0..QUANTITIES {
+                sums[i] += along * values[i];
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn vectors(&self) -> [Vec3; QUANTITIES] {
+        let [x, y, z] = &self.0;
+        let mut vectors = [Vec3::ZERO; QUANTITIES];
+        for i in 0..QUANTITIES {
+            vectors[i] = Vec3::new(x[i], y[i], z[i]);
+        }
+        vectors
+    }
 }
 
 /// Differentiates what is in cube rasters of one resolution.
 #[derive(Clone, Debug)]
 pub struct Differentiator {
     borders: Vec<Border>,
-    /// `∫ d dω` per texel.
-    vectors: Vec<Vec3>,
+    /// Eight texels each.
+    texels: Vec<Texels>,
     up: Vec3,
     sky_sum_sr: f32,
     /// What each texel adds to each quantity per projected solid angle, and the inverse depth of the nearest thing in it: of one raster.
@@ -83,12 +146,12 @@ impl Differentiator {
         let sky = table.texels().iter().filter(|t| t.vector.dot(up) > 0.0);
         Self {
             borders: texels.flat_map(|texel| borders_of(table, texel)).collect(),
-            vectors: table.texels().iter().map(|t| t.vector).collect(),
+            texels: table.texels().chunks(LANES).map(Texels::of).collect(),
             up,
             sky_sum_sr: sky.map(|t| t.solid_angle_sr).sum(),
             values: vec![[0.0; QUANTITIES]; count],
             nearest: vec![0.0; count],
-            looming: Vec::with_capacity(count),
+            looming: Vec::with_capacity(count / LANES),
         }
     }
 
@@ -100,14 +163,16 @@ impl Differentiator {
     /// border's length and **u** the direction across it from the first to the second (Ward and Heckbert 1992). When the normal turns, each texel's cosine does.
     #[inline(always)]
     #[must_use]
-    pub fn differentiate(
+    pub fn differentiate<L: Lanes>(
         &mut self,
         raster: &CubeRaster,
         environment: Option<&EnvironmentTexels>,
         [normal, plane]: [Vec3; 2],
     ) -> Differential {
-        let mut found = Differential::default();
-        self.read(raster, environment, [normal, plane], &mut found.rotation);
+        let mut rotation = VectorSums::default();
+        self.read::<L>(raster, environment, [normal, plane], &mut rotation);
+        let (mut translation, mut sky) = (VectorSums::default(), Vec3::ZERO);
+        let mut slope_sums = [0.0; 2];
         for border in &self.borders {
             let [a, b] = border.texels.map(|index| index as usize);
             let near =
@@ -122,52 +187,62 @@ impl Differentiator {
             for i in 0..QUANTITIES {
                 change[i] = self.values[b][i] - self.values[a][i];
             }
-            for i in 0..SKY {
-                found.translation[i] += weighted * change[i];
-            }
+            translation.add(weighted, &change);
             if border.middle.dot(self.up) > 0.0 {
-                found.translation[SKY] += across * change[SKY];
+                sky += across * change[SKY];
             }
             let length = weighted.length();
-            found.slope_sums[0] += change[OCCLUSION].abs() * length;
-            found.slope_sums[1] += change[LIGHT].iter().sum::<f32>().abs() * length;
+            slope_sums[0] += change[OCCLUSION].abs() * length;
+            slope_sums[1] += sum_of_light(&change).abs() * length;
         }
-        found.translation[OCCLUSION] /= PI;
-        found.rotation[OCCLUSION] /= PI;
-        found.slope_sums[0] /= PI;
-        found.translation[SKY] /= self.sky_sum_sr;
-        found
+        let (mut translation, mut rotation) = (translation.vectors(), rotation.vectors());
+        translation[OCCLUSION] /= PI;
+        rotation[OCCLUSION] /= PI;
+        slope_sums[0] /= PI;
+        translation[SKY] = sky / self.sky_sum_sr;
+        // Turning the receiver turns no sky.
+        rotation[SKY] = Vec3::ZERO;
+        Differential { translation, rotation, slope_sums }
     }
 
     /// What extrapolation to a distance may be wrong by as things there loom: of ambient occlusion, and of irradiance where there is `mean` irradiance.
+    #[inline(always)]
     #[must_use]
     pub fn looming(&self, distance: f32, mean: f32) -> [f32; 2] {
-        let mut sums = [0.0; 2];
-        for thing in &self.looming {
-            let nearness = larger(1.0 - distance * thing.inverse_distance, NEARNESS_MIN);
-            let start = thing.tan2 + 1.0;
-            let grown = start / (thing.tan2 + nearness * nearness);
-            let more = larger(grown - 1.0 - 2.0 * (1.0 - nearness) / start, 0.0);
-            sums[0] += thing.weights[0] * more;
-            sums[1] += larger(thing.weights[1], thing.weights[0] * mean) * more;
+        let mut sums = [[0.0; LANES]; 2];
+        for things in &self.looming {
+            for lane in 0..LANES {
+                let nearness = larger(1.0 - distance * things.inverse_distance[lane], NEARNESS_MIN);
+                let (tan2, [hidden, light]) = (things.tan2[lane], things.weights);
+                let start = tan2 + 1.0;
+                let grown = start / (tan2 + nearness * nearness);
+                let more = larger(grown - 1.0 - 2.0 * (1.0 - nearness) / start, 0.0);
+                sums[0][lane] += hidden[lane] * more;
+                sums[1][lane] += larger(light[lane], hidden[lane] * mean) * more;
+            }
         }
-        sums.map(|sum| APPROACHED * sum)
+        let [openness, light] = &sums;
+        [APPROACHED * openness.iter().sum::<f32>(), APPROACHED * light.iter().sum::<f32>()]
     }
 
     /// Reads a raster's texels, and sums how they turn.
     #[inline(always)]
-    fn read(
+    fn read<L: Lanes>(
         &mut self,
         raster: &CubeRaster,
         environment: Option<&EnvironmentTexels>,
         [normal, plane]: [Vec3; 2],
-        rotation: &mut [Vec3; QUANTITIES],
+        rotation: &mut VectorSums,
     ) {
         self.values.fill([0.0; QUANTITIES]);
         self.nearest.fill(0.0);
         self.looming.clear();
         for number in 0..self.values.len() / LANES {
             let Some(chunk) = raster.chunk(number) else { continue };
+            let texels = &self.texels[number];
+            // What is hidden of each texel above the horizon, and how bright it is.
+            let (mut hidden, mut brightness) = ([0.0; LANES], [0.0; LANES]);
+            let mut nearest = [0.0; LANES];
             for lane in 0..LANES {
                 let index = number * LANES + lane;
                 let above = raster.share_above(index);
@@ -188,26 +263,37 @@ impl Differentiator {
                     }
                 }
                 (values[OCCLUSION], values[SKY]) = (open, open);
-                self.nearest[index] = raster.nearest(index);
-                let vector = self.vectors[index] * above;
-                for i in 0..SKY {
-                    rotation[i] += vector * values[i];
-                }
-                if self.nearest[index] > 0.0 {
-                    let length = vector.length();
-                    let sine = vector.dot(plane) / length;
-                    let hidden = larger(vector.dot(normal), 0.0) * (1.0 - open);
-                    let brightness = values[LIGHT].iter().sum::<f32>();
-                    let direction = vector / length;
-                    self.looming.push(Looming {
-                        weights: [hidden / PI, hidden * brightness],
-                        inverse_distance: self.nearest[index] * direction.abs().max_element(),
-                        tan2: sine * sine / larger(1.0 - sine * sine, 1e-6),
-                    });
-                }
+                let [x, y, z] = &texels.directions;
+                let direction = Vec3::new(x[lane], y[lane], z[lane]);
+                rotation.add(direction * (texels.lengths[lane] * above), values);
+                nearest[lane] = raster.nearest::<L>(index);
+                self.nearest[index] = nearest[lane];
+                let is_thing = if nearest[lane] > 0.0 { above } else { 0.0 };
+                (hidden[lane], brightness[lane]) = (is_thing * (1.0 - open), sum_of_light(values));
             }
+            let (cosines, sines) = (texels.along(normal), texels.along(plane));
+            let mut looming = Looming::default();
+            for lane in 0..LANES {
+                let hidden = larger(cosines[lane], 0.0) * texels.lengths[lane] * hidden[lane];
+                looming.weights[0][lane] = hidden / PI;
+                looming.weights[1][lane] = hidden * brightness[lane];
+                looming.inverse_distance[lane] = nearest[lane] * texels.axial[lane];
+                let sine2 = sines[lane] * sines[lane];
+                looming.tan2[lane] = sine2 / larger(1.0 - sine2, 1e-6);
+            }
+            self.looming.push(looming);
         }
     }
+}
+
+/// Sum of the quantities that are light.
+#[inline(always)]
+fn sum_of_light(values: &[f32; QUANTITIES]) -> f32 {
+    let mut sum = 0.0;
+    for value in &values[LIGHT] {
+        sum += value;
+    }
+    sum
 }
 
 /// The borders of a texel to those with larger indices.
@@ -245,7 +331,19 @@ mod tests {
     use super::*;
     use crate::diffuse::tests::Draw;
     use crate::{ConvolutionTable, Diffuse, convolve_diffuse};
-    use pbgi_raster::{SimdLevel, run_wide};
+    use pbgi_raster::{SimdLevel, WideKernel, run_wide};
+
+    /// Differentiates what is in a raster for a receiver with this normal.
+    struct Differentiate<'a>(&'a mut Differentiator, &'a CubeRaster, Vec3);
+
+    impl WideKernel for Differentiate<'_> {
+        type Output = Differential;
+
+        #[inline(always)]
+        fn run<L: Lanes>(self) -> Differential {
+            self.0.differentiate::<L>(self.1, None, [self.2; 2])
+        }
+    }
 
     const EDGE: usize = 32;
 
@@ -259,7 +357,12 @@ mod tests {
         run_wide(SimdLevel::Baseline, Draw(&mut raster, normal, &[(Vec3::X, low, high)]));
         let found = convolve_diffuse(&raster, &sums, None, [normal; 2]);
         let mut differentiator = Differentiator::new(&table, Vec3::Z);
-        let differential = differentiator.differentiate(&raster, None, [normal; 2]);
+        let mut differentials = SimdLevel::available()
+            .into_iter()
+            .map(|level| run_wide(level, Differentiate(&mut differentiator, &raster, normal)));
+        let differential = differentials.next().unwrap();
+        assert!(differentials.all(|other| other == differential));
+        drop(differentials);
         (found, differential, differentiator)
     }
 

@@ -170,13 +170,8 @@ impl<'a> Gatherer<'a> {
         tolerance: &Tolerance,
     ) -> Result<Record, StoreError> {
         let shading = self.broad(receiver)?;
-        let kernel = DifferentialKernel { gatherer: self, receiver };
-        let differential = run_wide(kernel.gatherer.settings.simd, kernel);
-        let differentiator = &self.differentiator;
-        let looming = |distance: f32, light: f32| {
-            differentiator.as_ref().map_or([0.0; 2], |d| d.looming(distance, light))
-        };
-        Ok(Record::new(receiver, &shading, &differential, looming, tolerance))
+        let kernel = RecordKernel { gatherer: self, receiver, shading: &shading, tolerance };
+        Ok(run_wide(kernel.gatherer.settings.simd, kernel))
     }
 
     /// Gathers broad light alone.
@@ -376,22 +371,28 @@ impl WideKernel for CubeKernel<'_, '_> {
     }
 }
 
-/// How what the last gather has found changes around its receiver.
-struct DifferentialKernel<'k, 'a> {
+/// What the last gather has found, and how that changes around its receiver.
+struct RecordKernel<'k, 'a> {
     gatherer: &'k mut Gatherer<'a>,
     receiver: &'k Receiver,
+    shading: &'k Shading,
+    tolerance: &'k Tolerance,
 }
 
-impl WideKernel for DifferentialKernel<'_, '_> {
-    type Output = Differential;
+impl WideKernel for RecordKernel<'_, '_> {
+    type Output = Record;
 
     #[inline(always)]
     fn run<L: Lanes>(self) -> Self::Output {
-        let Gatherer { differentiator, raster, light, .. } = self.gatherer;
+        let Self { gatherer, receiver, shading, tolerance } = self;
+        let Gatherer { differentiator, raster, light, .. } = gatherer;
         let base = light.map(|light| &light.base);
-        let normals = [self.receiver.normal, self.receiver.plane];
-        let differentiate = |d: &mut Differentiator| d.differentiate(raster, base, normals);
-        differentiator.as_mut().map(differentiate).unwrap_or_default()
+        let normals = [receiver.normal, receiver.plane];
+        let mut differential = Differential::default();
+        if let Some(differentiator) = differentiator {
+            differential = differentiator.differentiate::<L>(raster, base, normals);
+        }
+        Record::new(receiver, shading, &differential, differentiator.as_ref(), tolerance)
     }
 }
 

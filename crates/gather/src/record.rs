@@ -2,7 +2,7 @@
 //! Clear 1988; Ward and Heckbert 1992).
 
 use crate::receiver::{Receiver, Shading};
-use pbgi_brdf::{Differential, LIGHT, OCCLUSION, QUANTITIES, SKY};
+use pbgi_brdf::{Differential, Differentiator, LIGHT, OCCLUSION, QUANTITIES, SKY};
 use pbgi_math::Vec3;
 
 /// Error of an extrapolation over what all borders between texels would change if each changed it for the better.
@@ -87,11 +87,12 @@ pub struct Record {
 }
 
 impl Record {
+    #[inline(always)]
     pub(crate) fn new(
         receiver: &Receiver,
         shading: &Shading,
         differential: &Differential,
-        looming: impl Fn(f32, f32) -> [f32; 2],
+        differentiator: Option<&Differentiator>,
         tolerance: &Tolerance,
     ) -> Self {
         let values = quantities(shading);
@@ -104,7 +105,8 @@ impl Record {
         let mut reach = rise / COHERENCE.max(tolerance.share / FIRST_ORDER_MAX);
         let light = light(&values);
         for _ in 0..REACH_STEPS {
-            let errors = looming(reach, light);
+            let Some(differentiator) = differentiator else { break };
+            let errors = differentiator.looming(reach, light);
             let excess =
                 |i: usize| errors[i] / (tolerance.share * scales[i]).max(f32::MIN_POSITIVE);
             let excess = excess(0).max(excess(1));

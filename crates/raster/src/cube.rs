@@ -566,11 +566,14 @@ impl CubeRaster {
         let nearer = L::splat(1.0 + ink.tolerance);
         let mut met_count = 0;
         for &WordOfTexels { face, word, texels } in looked_at.iter() {
+            let mut rest = if shines { texels } else { texels & open.word(word as usize) };
+            if rest == 0 {
+                continue;
+            }
             let shape = shape.turned(CubeFace(face));
             let inverse = shape.inverse();
             let start = word as usize * u64::BITS as usize;
             let of_face = usize::from(face) * face_texels;
-            let mut rest = if shines { texels } else { texels & open.word(word as usize) };
             while rest != 0 {
                 let bit = rest.trailing_zeros() as usize;
                 rest &= rest - 1;
@@ -659,24 +662,25 @@ impl CubeRaster {
     /// Inverse depth, along its face's axis, of the nearest thing that covers samples of texel `index` (in memory) above the horizon; 0
     /// where nothing does. Needs [`Self::keep_depths`] where nothing shines.
     #[must_use]
-    pub fn nearest(&self, index: usize) -> f32 {
-        let drawn = self.covered[index] & self.above[index];
+    #[inline(always)]
+    pub fn nearest<L: Lanes>(&self, index: usize) -> f32 {
+        let (drawn, depths) =
+            (self.covered[index] & self.above[index], L::load(&self.depths[index]));
         // The receiver's own plane is nearer than all and is no thing.
-        let depth = |i: usize| {
-            let depth = self.depths[index][i];
-            if drawn >> i & 1 != 0 && depth < f32::MAX { depth } else { 0.0 }
-        };
-        (0..SAMPLES).map(depth).fold(0.0, larger)
+        let own = L::bits(L::splat(f32::MAX).le(depths));
+        depths.largest_where(drawn & !own)
     }
 
     /// Share of the samples of texel `index` (in memory) that lie above the horizon.
     #[must_use]
+    #[inline(always)]
     pub fn share_above(&self, index: usize) -> f32 {
         self.above[index].count_ones() as f32 / SAMPLES as f32
     }
 
     /// Radiance of the lamps in texel `index` (in memory), whose light is not in [`TexelChunk::radiance`], times the share of it they show.
     #[must_use]
+    #[inline(always)]
     pub fn lamp_radiance(&self, index: usize) -> [f32; 3] {
         if self.lit.contains(index) { self.lights[index].lamp_radiance } else { [0.0; 3] }
     }

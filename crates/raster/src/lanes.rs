@@ -33,6 +33,8 @@ pub trait Lanes: Copy + sealed::Sealed {
     /// Lanes whose cell is set, of eight rows of eight bits, and whose `sign` is not negative: `self` is the column, `row` the row, both counted from 0 along
     /// the whole edge; lanes outside of 0 … 8 are in no cell.
     fn in_cells(self, row: Self, sign: Self, cells: u64) -> u16;
+    /// The largest of the lanes whose bits are set, none of which is negative; 0 without any.
+    fn largest_where(self, bits: u16) -> f32;
     /// Writes the lanes whose bits are set.
     fn store_where(self, bits: u16, to: &mut [f32; SAMPLES]);
 }
@@ -116,6 +118,16 @@ impl Lanes for Plain {
             }
         }
         bits
+    }
+    #[inline(always)]
+    fn largest_where(self, bits: u16) -> f32 {
+        let mut largest = 0.0;
+        for lane in 0..SAMPLES {
+            if bits >> lane & 1 != 0 && self.0[lane] > largest {
+                largest = self.0[lane];
+            }
+        }
+        largest
     }
     #[inline(always)]
     fn store_where(self, bits: u16, to: &mut [f32; SAMPLES]) {
@@ -222,17 +234,34 @@ pub(crate) mod x86 {
             }
         }
         #[inline(always)]
+        fn largest_where(self, bits: u16) -> f32 {
+            unsafe {
+                let [low, high] = [spread(bits & 0xff), spread(bits >> 8)];
+                let low = _mm256_and_ps(_mm256_castsi256_ps(low), self.0);
+                let eight = _mm256_max_ps(low, _mm256_and_ps(_mm256_castsi256_ps(high), self.1));
+                let four =
+                    _mm_max_ps(_mm256_castps256_ps128(eight), _mm256_extractf128_ps::<1>(eight));
+                let two = _mm_max_ps(four, _mm_movehl_ps(four, four));
+                _mm_cvtss_f32(_mm_max_ss(two, _mm_shuffle_ps::<1>(two, two)))
+            }
+        }
+        #[inline(always)]
         fn store_where(self, bits: u16, to: &mut [f32; SAMPLES]) {
             // SAFETY: as in `load`; masked lanes are not written.
             unsafe {
-                let bit = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
-                let spread = |bits: u16| {
-                    let all = _mm256_set1_epi32(i32::from(bits));
-                    _mm256_cmpeq_epi32(_mm256_and_si256(all, bit), bit)
-                };
                 _mm256_maskstore_ps(to.as_mut_ptr(), spread(bits & 0xff), self.0);
                 _mm256_maskstore_ps(to[8..].as_mut_ptr(), spread(bits >> 8), self.1);
             }
+        }
+    }
+
+    /// Eight lanes, all bits of those whose bit is set.
+    #[inline(always)]
+    fn spread(bits: u16) -> __m256i {
+        unsafe {
+            let bit = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
+            let all = _mm256_set1_epi32(i32::from(bits));
+            _mm256_cmpeq_epi32(_mm256_and_si256(all, bit), bit)
         }
     }
 
@@ -299,6 +328,10 @@ pub(crate) mod x86 {
                 let is_negative = _mm512_movepi32_mask(_mm512_castps_si512(sign.0));
                 _mm512_test_epi32_mask(bit, _mm512_set1_epi32(1)) & is_row & !is_negative
             }
+        }
+        #[inline(always)]
+        fn largest_where(self, bits: u16) -> f32 {
+            unsafe { _mm512_reduce_max_ps(_mm512_maskz_mov_ps(bits, self.0)) }
         }
         #[inline(always)]
         fn store_where(self, bits: u16, to: &mut [f32; SAMPLES]) {
