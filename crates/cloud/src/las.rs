@@ -319,8 +319,10 @@ mod tests {
         let cursor = std::io::Cursor::new(Vec::new());
         let mut writer = Writer::new(cursor, builder.into_header().unwrap()).unwrap();
         for point in points {
-            let gps_time = Format::new(format).unwrap().has_gps_time.then_some(1.5);
-            writer.write_point(Point { gps_time, ..point.clone() }).unwrap();
+            let has_time = Format::new(format).unwrap().has_gps_time;
+            let gps_time = has_time.then_some(point.gps_time.unwrap_or(1.5));
+            let color = point.color.filter(|_| Format::new(format).unwrap().has_color);
+            writer.write_point(Point { gps_time, color, ..point.clone() }).unwrap();
         }
         writer.close().unwrap();
         writer.into_inner().unwrap().into_inner()
@@ -566,6 +568,33 @@ mod tests {
         let (_, surfels) = read(&file_of(&points(1001, 0), 0, (1, 2), false)).unwrap();
         let last = surfels.last().unwrap().albedo_rgb();
         assert!((last[0] - 0.9).abs() < 0.02 && last[0] == last[2], "{last:?}");
+    }
+
+    /// The decoder of GPS times calls itself where the time is that of another sequence, which all bits set say again and again.
+    #[test]
+    fn gps_times_that_refer_to_others_without_end_are_no_way_down() {
+        let mut points = points(3000, 0xff00);
+        for (i, point) in points.iter_mut().enumerate() {
+            point.gps_time = Some(1.5 + ((i * i) % 1013) as f64);
+        }
+        let layered = file_of(&points, 6, (1, 4), true);
+        let expected = read(&layered).unwrap();
+        for format in [1, 3, 6] {
+            let version = if format < 6 { (1, 2) } else { (1, 4) };
+            let mut bytes = file_of(&points, format, version, true);
+            let start = u32::from_le_bytes(bytes[96..100].try_into().unwrap()) as usize;
+            let table = u64::from_le_bytes(bytes[start..start + 8].try_into().unwrap()) as usize;
+            // The last layer of a chunk is that of GPS times; without layers, all points are in one stream.
+            let damaged = if format < 6 { start + 100..table } else { table - 1000..table };
+            bytes[damaged].fill(0xff);
+            let found = read(&bytes);
+            if format < 6 {
+                let error = found.unwrap_err().to_string();
+                assert!(error.contains("damaged"), "{format}: {error}");
+            } else {
+                assert!(found.unwrap() == expected);
+            }
+        }
     }
 
     #[test]

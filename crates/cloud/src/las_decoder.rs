@@ -4,17 +4,20 @@
 //! claim is compared with the length of the file first: header and point count by
 //! [`check_header`], the table of chunks by [`check_chunk_table`], the layers of each chunk by
 //! [`LayerGuard`]. Extended records, which nothing here needs and which would be read whole, are
-//! hidden by [`GuardedFile`]; panics on nonsense are caught by [`guard`].
+//! hidden by [`GuardedFile`]; panics on nonsense are caught by [`guard`]. The decoder of GPS times
+//! calls itself as often as the data say: layers that nothing here needs are skipped, and where
+//! there are no layers, [`Shallow`] ends it.
 
 use crate::CloudError;
 use crate::las::LAS_MAGIC;
 use las::Header;
-use laz::{LasZipDecompressor, LazItemType, LazVlr};
+use laz::{DecompressionSelection, LasZipDecompressor, LazItem, LazItemType, LazVlr};
 use pbgi_file::open_input;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
-use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::{Path, PathBuf};
+use std::thread;
 
 /// Bytes of the longest public header, that of LAS 1.4.
 const HEADER_BYTES_MAX: usize = 375;
@@ -31,18 +34,90 @@ pub(crate) struct LasDecoder {
 
 enum Points {
     Plain(BufReader<GuardedFile>),
-    Compressed(Box<LasZipDecompressor<'static, BufReader<GuardedFile>>>, LayerGuard),
+    Compressed(Box<Compressed>),
+}
+
+/// Points of a LAZ file.
+struct Compressed {
+    decompressor: LasZipDecompressor<'static, Shallow<BufReader<GuardedFile>>>,
+    layers: LayerGuard,
+    /// Whether the decoder may call itself.
+    is_recursive: bool,
+}
+
+impl Compressed {
+    fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<()> {
+        self.decompressor.get_mut().begin();
+        let mut rest = bytes;
+        while !rest.is_empty() {
+            let reader = &mut self.decompressor.get_mut().source;
+            let take = self.layers.bytes_before_check(reader, rest.len())?;
+            let (now, later) = rest.split_at_mut(take);
+            self.decompressor.decompress_many(now)?;
+            rest = later;
+        }
+        Ok(())
+    }
+}
+
+/// Bytes by which the stack may grow while points are decoded. Sound points make the decoder call itself three times.
+const DEPTH_BYTES_MAX: usize = 1 << 20;
+
+/// Stack of a thread on which the decoder may call itself: it reads a byte after 36 000 calls at the latest, each of some hundred bytes.
+const STACK_BYTES: usize = 64 << 20;
+
+/// Gives bytes to a decoder that calls itself, as long as it is not too deep.
+struct Shallow<R> {
+    source: R,
+    /// Where the stack was when decoding began.
+    top: usize,
+}
+
+impl<R> Shallow<R> {
+    #[inline(never)]
+    fn begin(&mut self) {
+        let here = 0u8;
+        self.top = std::ptr::from_ref(&here).addr();
+    }
+}
+
+impl<R: Read> Read for Shallow<R> {
+    fn read(&mut self, out: &mut [u8]) -> std::io::Result<usize> {
+        let here = 0u8;
+        if self.top.abs_diff(std::ptr::from_ref(&here).addr()) > DEPTH_BYTES_MAX {
+            return Err(std::io::Error::other("a GPS time that refers to others without end"));
+        }
+        self.source.read(out)
+    }
+}
+
+impl<R: Seek> Seek for Shallow<R> {
+    fn seek(&mut self, to: SeekFrom) -> std::io::Result<u64> {
+        self.source.seek(to)
+    }
 }
 
 impl LasDecoder {
-    /// Opens a file, checks and reads its header, and stands at its first point.
+    /// Opens a file for what surfels are made of, checks and reads its header, and stands at its first point.
     pub fn open(path: &Path) -> Result<(Self, Header), CloudError> {
+        Self::open_for(path, what_surfels_have())
+    }
+
+    /// The same for all that points have. Where layers of compressed points are made to have their decoder call itself without end, it overflows the stack.
+    pub fn open_whole(path: &Path) -> Result<(Self, Header), CloudError> {
+        Self::open_for(path, DecompressionSelection::all())
+    }
+
+    fn open_for(
+        path: &Path,
+        selection: DecompressionSelection,
+    ) -> Result<(Self, Header), CloudError> {
         let mut reader = BufReader::with_capacity(1 << 18, GuardedFile::open(path)?);
         let header = guard(path, || "header".into(), || Header::new(&mut reader))?;
         let uncounted = reader.get_ref().uncounted;
         let points = match header.point_format().is_compressed {
             false => Points::Plain(reader),
-            true => open_compressed(reader, &header, path)?,
+            true => open_compressed(reader, &header, path, selection)?,
         };
         Ok((Self { points, path: path.to_owned(), uncounted }, header))
     }
@@ -51,16 +126,16 @@ impl LasDecoder {
     pub fn read(&mut self, bytes: &mut [u8], place: impl Fn() -> String) -> Result<(), CloudError> {
         match &mut self.points {
             Points::Plain(reader) => guard(&self.path, place, || reader.read_exact(bytes)),
-            Points::Compressed(decompressor, layers) => guard(&self.path, place, || {
-                let mut rest = bytes;
-                while !rest.is_empty() {
-                    let take = layers.bytes_before_check(decompressor.get_mut(), rest.len())?;
-                    let (now, later) = rest.split_at_mut(take);
-                    decompressor.decompress_many(now)?;
-                    rest = later;
-                }
-                Ok::<(), std::io::Error>(())
+            Points::Compressed(points) if points.is_recursive => thread::scope(|scope| {
+                let builder = thread::Builder::new().stack_size(STACK_BYTES);
+                let read = || points.read(bytes);
+                let thread = builder
+                    .spawn_scoped(scope, read)
+                    .map_err(|e| CloudError::io(&self.path, "start a thread for", e))?;
+                let joined = || thread.join().unwrap_or_else(|panic| resume_unwind(panic));
+                guard(&self.path, place, joined)
             }),
+            Points::Compressed(points) => guard(&self.path, place, || points.read(bytes)),
         }
     }
 }
@@ -70,6 +145,7 @@ fn open_compressed(
     mut reader: BufReader<GuardedFile>,
     header: &Header,
     path: &Path,
+    selection: DecompressionSelection,
 ) -> Result<Points, CloudError> {
     let vlr = guard(path, || "header".into(), || header.laz_vlr())?;
     let point_bytes = u64::from(header.point_format().len());
@@ -91,8 +167,27 @@ fn open_compressed(
             .map_err(|message| CloudError::malformed(path, message))?;
     }
     let layers = LayerGuard::new(&vlr, &mut reader).map_err(|e| CloudError::io(path, "read", e))?;
-    let decompressor = guard(path, || "header".into(), || LasZipDecompressor::new(reader, vlr))?;
-    Ok(Points::Compressed(Box::new(decompressor), layers))
+    let may_recur = |item: &LazItem| match item.item_type() {
+        LazItemType::GpsTime => item.version() > 1,
+        LazItemType::Point14 => selection.should_decompress_gps_time(),
+        _ => false,
+    };
+    let is_recursive = vlr.items().iter().any(may_recur);
+    let mut reader = Shallow { source: reader, top: 0 };
+    reader.begin();
+    let start = || LasZipDecompressor::selective(reader, vlr, selection);
+    let decompressor = guard(path, || "header".into(), start)?;
+    Ok(Points::Compressed(Box::new(Compressed { decompressor, layers, is_recursive })))
+}
+
+/// The layers that surfels are made of.
+fn what_surfels_have() -> DecompressionSelection {
+    DecompressionSelection::base()
+        .decompress_z()
+        .decompress_classification()
+        .decompress_flags()
+        .decompress_intensity()
+        .decompress_rgb()
 }
 
 /// Checks the layer sizes of each chunk of a layered LAZ file (point formats 6 and up) before the

@@ -165,7 +165,7 @@ impl LasResultWriter {
     /// If `input` is no valid LAS or LAZ file or has a dimension of such a name, or `output` cannot be written.
     pub fn create(input: &Path, output: &Path, dimensions: &[&str]) -> Result<Self, CloudError> {
         let malformed = |message: String| CloudError::malformed(input, message);
-        let (decoder, header) = LasDecoder::open(input)?;
+        let (decoder, header) = LasDecoder::open_whole(input)?;
         let mut head = Head::read(input)?;
         head.describe(dimensions, usize::from(header.point_format().extra_bytes))
             .map_err(malformed)?;
