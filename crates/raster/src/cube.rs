@@ -7,6 +7,7 @@ use crate::shape::{Rims, Shape};
 use crate::table::{CubeRasterTable, LANES};
 use crate::texel_bits::{RowsOfWords, TexelBits, TexelRange, WordOfTexels};
 use crate::texel_light::TexelLight;
+use crate::tilt::TexelTilt;
 use pbgi_math::{CubeFace, Vec3, larger};
 
 /// Every sample of a texel.
@@ -74,70 +75,6 @@ fn open_offset(open: u16, above: u16) -> [f32; 2] {
     let share = open.count_ones() as f32 / above.count_ones() as f32;
     let (open, above) = (offset_sum(open), offset_sum(above));
     [0, 1].map(|axis| (open[axis] - share * above[axis]) / SAMPLES as f32)
-}
-
-/// How something varies over a texel: relative to its mean above the horizon, and linear.
-#[derive(Clone, Copy, Debug, Default)]
-struct Tilt {
-    /// In the texel's middle.
-    middle: f32,
-    /// From there to the border along u and v.
-    slope: [f32; 2],
-}
-
-impl Tilt {
-    /// For what is `middle` in a texel's middle and `reach` more at its borders along u and v.
-    #[inline(always)]
-    fn new(middle: f32, reach: [f32; 2], above: u16) -> Self {
-        let sum = offset_sum(above);
-        let count = larger_than_zero(above.count_ones() as f32);
-        let mean = middle + (reach[0] * sum[0] + reach[1] * sum[1]) / count;
-        // Where the horizon leaves a corner, what is linear may not be positive there.
-        let least = 0.1 * (reach[0].abs() + reach[1].abs()) + 1e-6;
-        let inverse = 1.0 / larger(mean, least);
-        let slope = reach.map(|r| r * inverse);
-        let middle = 1.0 - (slope[0] * sum[0] + slope[1] * sum[1]) / count;
-        Self { middle, slope }
-    }
-
-    /// At a place of the texel, −1..=1 from border to border.
-    #[inline(always)]
-    fn at(&self, place: [f32; 2]) -> f32 {
-        larger(self.middle + self.slope[0] * place[0] + self.slope[1] * place[1], 0.0)
-    }
-
-    /// On the mean over samples.
-    #[inline(always)]
-    fn mean(&self, samples: u16) -> f32 {
-        let inverse = 1.0 / larger_than_zero(samples.count_ones() as f32);
-        self.at(offset_sum(samples).map(|sum| sum * inverse))
-    }
-}
-
-/// What light weighs in the parts of a texel.
-#[derive(Clone, Copy, Debug, Default)]
-struct TexelTilt {
-    /// The cosine: for pieces that count by their own solid angle.
-    cosine: Tilt,
-    /// The cosine times a sample's solid angle: for pieces that count by samples.
-    sample: Tilt,
-}
-
-impl TexelTilt {
-    /// For a texel with its middle at (u, v) on a face. There, n·D is `height`, and changes by `slope` times what u and v change.
-    #[inline(always)]
-    fn new(height: f32, slope: [f32; 2], [u, v]: [f32; 2], half: f32, above: u16) -> Self {
-        // The cosine is n·D/|D|, and a sample's solid angle goes as 1/|D|³.
-        let fall = height / (1.0 + u * u + v * v);
-        let reach = |power: f32| {
-            let fall = power * fall;
-            [(slope[0] - fall * u) * half, (slope[1] - fall * v) * half]
-        };
-        Self {
-            cosine: Tilt::new(height, reach(1.0), above),
-            sample: Tilt::new(height, reach(4.0), above),
-        }
-    }
 }
 
 /// The horizon of a normal on a face: n·D is linear there.
@@ -276,7 +213,7 @@ impl CubeRaster {
             covered: vec![ALL; 6 * n * stride],
             above: vec![0; 6 * n * stride],
             rims: vec![Rims::default(); 6 * n * stride],
-            lights: vec![TexelLight::NONE; if shines { 6 * n * stride } else { 0 }],
+            lights: vec![TexelLight::new(TexelTilt::NONE); if shines { 6 * n * stride } else { 0 }],
             lit: TexelBits::new(table),
             depths: vec![[0.0; SAMPLES]; 6 * n * stride],
             open: TexelBits::new(table),
@@ -376,10 +313,12 @@ impl CubeRaster {
 
     /// The light of a texel, to add to.
     #[inline(always)]
-    fn light(&mut self, index: usize) -> &mut TexelLight {
+    fn light(&mut self, index: usize, [face, row, column]: [u8; 3]) -> &mut TexelLight {
         if !self.lit.contains(index) {
             self.lit.insert(index);
-            self.lights[index] = TexelLight::NONE;
+            let (row, column) = (usize::from(row), usize::from(column));
+            let tilt = self.tilt(CubeFace(face), row, column, self.above[index]);
+            self.lights[index] = TexelLight::new(tilt);
         }
         &mut self.lights[index]
     }
@@ -494,7 +433,7 @@ impl CubeRaster {
     /// Adds the light of a piece that met `met` samples in all to a texel in which it met some.
     #[inline(always)]
     fn shine(&mut self, hit: &Hit, ink: &Ink, met: u32, toward: Vec3) {
-        let (index, column) = (hit.index as usize, usize::from(hit.column));
+        let (index, place) = (hit.index as usize, [hit.face, hit.row, hit.column]);
         let above = self.above[index];
         let count = hit.visible.count_ones();
         let is_lamp = self.is_lamp(ink) && ink.solid_angle < LARGE_LAMP_SR;
@@ -508,29 +447,36 @@ impl CubeRaster {
             } else {
                 self.cosine_in(hit, offset_sum(hit.visible).map(|sum| sum / count as f32))
             };
-            self.shine_lamp(index, solid_angle, cosine, &ink.radiance);
+            self.shine_lamp((index, place), solid_angle, cosine, &ink.radiance);
             return;
         }
-        let tilt = self.tilt(CubeFace(hit.face), usize::from(hit.row), column, above);
+        let light = self.light(index, place);
+        let tilt = light.tilt;
         let samples = if ink.solid_angle < SMALL_SR {
             by_solid_angle * tilt.cosine.mean(hit.visible)
         } else {
             hit.new.count_ones() as f32 * tilt.sample.mean(hit.new)
         };
         let share = samples / larger_than_zero(above.count_ones() as f32);
-        self.light(index).add(share, &ink.radiance);
+        light.add(share, &ink.radiance);
     }
 
     /// Adds the light of a lamp that shows this solid angle in a texel, at this cosine: it counts as it is, whatever the texel's size.
     #[inline(always)]
-    fn shine_lamp(&mut self, index: usize, solid_angle: f32, cosine: f32, radiance: &[f32; 3]) {
+    fn shine_lamp(
+        &mut self,
+        (index, place): (usize, [u8; 3]),
+        solid_angle: f32,
+        cosine: f32,
+        radiance: &[f32; 3],
+    ) {
         let weight = solid_angle * larger(cosine, 0.0);
         for (sum, light) in self.lamp_irradiance.iter_mut().zip(radiance) {
             *sum += weight * light;
         }
         let above = self.above[index].count_ones() as f32;
         let texel = self.inverse_solid_angles[index] * SAMPLES as f32 / larger_than_zero(above);
-        self.light(index).add_lamp(solid_angle * texel, radiance);
+        self.light(index, place).add_lamp(solid_angle * texel, radiance);
     }
 
     /// Cosine to the receiver's normal at a place of a texel, −1..=1 from border to border.
@@ -639,16 +585,17 @@ impl CubeRaster {
             return;
         }
         let place_in_texel = place_in_texel.map(|x| 2.0 * x - 1.0);
-        let is_lamp = self.is_lamp(ink);
-        if is_lamp {
+        let place = [face.0, row as u8, column as u8];
+        if self.is_lamp(ink) {
             let cosine = self.normal.dot(toward) / toward.length();
-            self.shine_lamp(index, ink.solid_angle, cosine, &ink.radiance);
+            self.shine_lamp((index, place), ink.solid_angle, cosine, &ink.radiance);
             return;
         }
         let whole = self.inverse_solid_angles[index] * SAMPLES as f32 / above.count_ones() as f32;
-        let cosine = self.tilt(face, row, column, above).cosine.at(place_in_texel);
+        let light = self.light(index, place);
+        let cosine = light.tilt.cosine.at(place_in_texel);
         let share = ink.solid_angle * whole * cosine;
-        self.light(index).add(share, &ink.radiance);
+        light.add(share, &ink.radiance);
     }
 
     /// Share of texel `index` (in memory), above the horizon, that no surface covers.

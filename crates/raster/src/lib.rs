@@ -13,6 +13,7 @@ mod simd;
 mod table;
 mod texel_bits;
 mod texel_light;
+mod tilt;
 mod window;
 
 pub use cube::{CubeRaster, FootprintCode, Ink, NO_FOOTPRINT_CODE, TexelChunk};

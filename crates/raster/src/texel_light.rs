@@ -1,5 +1,6 @@
 //! The light that pieces shine into a texel.
 
+use crate::tilt::TexelTilt;
 use pbgi_math::larger;
 
 /// Light of a texel.
@@ -14,12 +15,17 @@ pub(crate) struct TexelLight {
     lamp_weight: f32,
     /// Σ of radiance × share of the texel, of lamps.
     pub lamp_radiance: [f32; 3],
+    /// What light weighs in its parts.
+    pub tilt: TexelTilt,
 }
 
 impl TexelLight {
     /// No light.
-    pub const NONE: Self =
-        Self { radiance: [0.0; 3], weight: 0.0, lamp_weight: 0.0, lamp_radiance: [0.0; 3] };
+    #[inline(always)]
+    pub fn new(tilt: TexelTilt) -> Self {
+        let [radiance, lamp_radiance] = [[0.0; 3]; 2];
+        Self { radiance, weight: 0.0, lamp_weight: 0.0, lamp_radiance, tilt }
+    }
 
     /// Radiance of a texel that is covered wholly: its surfaces share what lamps leave of it.
     #[inline(always)]
