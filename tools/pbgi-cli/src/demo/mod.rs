@@ -147,7 +147,7 @@ impl Demo {
                 memory_bytes: self.common.memory_limit,
                 solid_angle_sr: self.solid_angle_sr,
                 raster_edge: self.raster_edge,
-                interpolation: ShadeSettings::USUAL_INTERPOLATION,
+                interpolation: ShadeSettings::usual_interpolation(None),
                 ..ShadeSettings::default()
             },
         };

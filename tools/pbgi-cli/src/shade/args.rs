@@ -320,9 +320,9 @@ pub struct QualityArgs {
     /// Error that interpolation may add; 0 gathers for each
     ///
     /// Receivers whose neighbors' light tells theirs are interpolated, by irradiance gradients; sharp shadows of suns and gloss never are. The mean of
-    /// what it adds is about a tenth of this; --check tells.
-    #[arg(long, value_name = "SHARE", value_parser = parse_share_or_none, default_value = "10%")]
-    pub interpolation: f32,
+    /// what it adds is about a tenth of this; --check tells. 10% if not given, with --target-error or --quality four times that.
+    #[arg(long, value_name = "SHARE", value_parser = parse_share_or_none)]
+    pub interpolation: Option<f32>,
     /// What makes nodes smaller in some directions than in others
     ///
     /// Some of env,lobe,cosine,radiance,quality, or all or off: bright parts of the environment, what a glossy surface reflects
@@ -343,6 +343,12 @@ pub struct QualityArgs {
 }
 
 impl QualityArgs {
+    /// What interpolation may be wrong by.
+    pub fn interpolation(&self) -> f32 {
+        let usual = || ShadeSettings::usual_interpolation(self.target_error());
+        self.interpolation.unwrap_or_else(usual)
+    }
+
     /// The cut error asked for, by number or by name.
     pub fn target_error(&self) -> Option<f64> {
         self.target_error.or(self.quality.map(QualityPreset::target_error))
@@ -569,8 +575,11 @@ mod tests {
             assert!(parse(&bad).is_err(), "{bad:?}");
         }
         assert!(parse(&["--importance", "env,glow"]).is_err());
-        let interpolation = |words: &[&str]| parse(words).map(|a| a.quality.interpolation);
-        assert_eq!(interpolation(&[]).unwrap(), ShadeSettings::USUAL_INTERPOLATION);
+        let interpolation = |words: &[&str]| parse(words).map(|a| a.quality.interpolation());
+        assert_eq!(interpolation(&[]).unwrap(), 0.1);
+        assert_eq!(interpolation(&["--target-error", "5%"]).unwrap(), 0.2);
+        assert_eq!(interpolation(&["--quality", "draft"]).unwrap(), 0.4);
+        assert_eq!(interpolation(&["--quality", "draft", "--interpolation", "5%"]).unwrap(), 0.05);
         assert_eq!(interpolation(&["--interpolation", "0"]).unwrap(), 0.0);
         assert_eq!(interpolation(&["--interpolation", "5%"]).unwrap(), 0.05);
         assert!(interpolation(&["--interpolation", "-1"]).is_err());

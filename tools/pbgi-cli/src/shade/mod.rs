@@ -177,7 +177,7 @@ fn settings(args: &ShadeArgs) -> Result<ShadeSettings, PbgiError> {
     Ok(ShadeSettings {
         solid_angle_sr: args.quality.solid_angle,
         target_error: args.quality.target_error(),
-        interpolation: args.quality.interpolation,
+        interpolation: args.quality.interpolation(),
         importance: args.quality.importance,
         gloss: args.gloss.settings(),
         raster_edge: args.quality.raster,
