@@ -127,7 +127,9 @@ impl Shading {
             environment: self.env.spec()?,
             solid_angle_sr: self.solid_angle.unwrap_or(own.solid_angle_sr),
             target_error: self.target_error,
-            interpolation: self.interpolation.unwrap_or_else(|| ShadeSettings::usual_interpolation(self.target_error)),
+            interpolation: self
+                .interpolation
+                .unwrap_or_else(|| ShadeSettings::usual_interpolation(self.target_error)),
             raster_edge: self.raster.unwrap_or(own.raster_edge),
             check_receivers: self.check,
             gloss: is_glossy.then_some(numbers),
