@@ -39,6 +39,9 @@ pub fn run(workspace: &Workspace, short: bool) -> Result<(), String> {
             found.reported,
             found.left
         );
+        for fault in &found.faults {
+            println!("    {fault}");
+        }
         runs += found.runs;
         faults.extend(found.faults);
     }
