@@ -2,7 +2,7 @@
 
 use crate::footprint::{BOXES, project_box, project_inside};
 use crate::lanes::{Lanes, SAMPLES};
-use crate::samples::{Veil, offset_sum, place, sample_near};
+use crate::samples::{Veil, divisor, offset_sum, place, sample_near};
 use crate::shape::{Rims, Shape};
 use crate::table::{CubeRasterTable, LANES};
 use crate::texel_bits::{RowsOfWords, TexelBits, TexelRange, WordOfTexels};
@@ -213,7 +213,10 @@ impl CubeRaster {
             covered: vec![ALL; 6 * n * stride],
             above: vec![0; 6 * n * stride],
             rims: vec![Rims::default(); 6 * n * stride],
-            lights: vec![TexelLight::new(TexelTilt::NONE); if shines { 6 * n * stride } else { 0 }],
+            lights: vec![
+                TexelLight::new(TexelTilt::default());
+                if shines { 6 * n * stride } else { 0 }
+            ],
             lit: TexelBits::new(table),
             depths: vec![[0.0; SAMPLES]; 6 * n * stride],
             open: TexelBits::new(table),
@@ -457,7 +460,7 @@ impl CubeRaster {
         } else {
             hit.new.count_ones() as f32 * tilt.sample.mean(hit.new)
         };
-        let share = samples / larger_than_zero(above.count_ones() as f32);
+        let share = samples / divisor(above);
         light.add(share, &ink.radiance);
     }
 
@@ -474,8 +477,7 @@ impl CubeRaster {
         for (sum, light) in self.lamp_irradiance.iter_mut().zip(radiance) {
             *sum += weight * light;
         }
-        let above = self.above[index].count_ones() as f32;
-        let texel = self.inverse_solid_angles[index] * SAMPLES as f32 / larger_than_zero(above);
+        let texel = self.inverse_solid_angles[index] * SAMPLES as f32 / divisor(self.above[index]);
         self.light(index, place).add_lamp(solid_angle * texel, radiance);
     }
 
@@ -603,7 +605,7 @@ impl CubeRaster {
     #[inline(always)]
     pub fn openness(&self, index: usize) -> f32 {
         let open = (!self.covered[index]).count_ones() as f32;
-        open / larger_than_zero(self.above[index].count_ones() as f32)
+        open / divisor(self.above[index])
     }
 
     /// Inverse depth, along its face's axis, of the nearest thing that covers samples of texel `index` (in memory) above the horizon; 0
@@ -647,7 +649,7 @@ impl CubeRaster {
         if chunk.is_open {
             for lane in 0..LANES {
                 let open = (!covered[lane]).count_ones() as f32;
-                let all = larger_than_zero(above[lane].count_ones() as f32);
+                let all = divisor(above[lane]);
                 chunk.covered[lane] = 1.0 - open / all;
             }
             for lane in 0..LANES {
@@ -694,12 +696,6 @@ fn whole(x: f32) -> u32 {
 #[inline(always)]
 fn smaller_index(a: usize, b: usize) -> usize {
     if a < b { a } else { b }
-}
-
-/// A count to divide by.
-#[inline(always)]
-fn larger_than_zero(count: f32) -> f32 {
-    larger(count, 1.0)
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Where the samples of a texel lie, and which of them a partly transparent piece covers.
 
 use crate::lanes::SAMPLES;
-use pbgi_math::scramble;
+use pbgi_math::{larger, scramble};
 
 /// Place of sample `index` in its texel, 0..1 along u and v.
 ///
@@ -50,6 +50,12 @@ pub(crate) fn offset_sum(samples: u16) -> [f32; 2] {
     let low = OFFSET_SUMS[0][usize::from(samples & 0xff)];
     let high = OFFSET_SUMS[1][usize::from(samples >> 8)];
     [low[0] + high[0], low[1] + high[1]]
+}
+
+/// How many samples a set has, to divide by: 1 of none.
+#[inline(always)]
+pub(crate) fn divisor(samples: u16) -> f32 {
+    larger(samples.count_ones() as f32, 1.0)
 }
 
 /// Cells along each side of a texel that hold one sample each.

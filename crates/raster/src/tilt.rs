@@ -1,6 +1,6 @@
 //! How a cosine varies over a texel.
 
-use crate::samples::offset_sum;
+use crate::samples::{divisor, offset_sum};
 use pbgi_math::larger;
 
 /// How something varies over a texel: relative to its mean above the horizon, and linear.
@@ -13,13 +13,11 @@ pub(crate) struct Tilt {
 }
 
 impl Tilt {
-    const NONE: Self = Self { middle: 0.0, slope: [0.0; 2] };
-
     /// For what is `middle` in a texel's middle and `reach` more at its borders along u and v.
     #[inline(always)]
     pub fn new(middle: f32, reach: [f32; 2], above: u16) -> Self {
         let sum = offset_sum(above);
-        let count = larger(above.count_ones() as f32, 1.0);
+        let count = divisor(above);
         let mean = middle + (reach[0] * sum[0] + reach[1] * sum[1]) / count;
         // Where the horizon leaves a corner, what is linear may not be positive there.
         let least = 0.1 * (reach[0].abs() + reach[1].abs()) + 1e-6;
@@ -38,7 +36,7 @@ impl Tilt {
     /// On the mean over samples.
     #[inline(always)]
     pub fn mean(&self, samples: u16) -> f32 {
-        let inverse = 1.0 / larger(samples.count_ones() as f32, 1.0);
+        let inverse = 1.0 / divisor(samples);
         self.at(offset_sum(samples).map(|sum| sum * inverse))
     }
 }
@@ -53,9 +51,6 @@ pub(crate) struct TexelTilt {
 }
 
 impl TexelTilt {
-    /// No cosine anywhere.
-    pub const NONE: Self = Self { cosine: Tilt::NONE, sample: Tilt::NONE };
-
     /// For a texel with its middle at (u, v) on a face. There, n·D is `height`, and changes by `slope` times what u and v change.
     #[inline(always)]
     pub fn new(height: f32, slope: [f32; 2], [u, v]: [f32; 2], half: f32, above: u16) -> Self {
