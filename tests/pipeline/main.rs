@@ -6,6 +6,7 @@ mod cycles;
 mod faults;
 mod format_document;
 mod invariances;
+mod lamps;
 mod leaks;
 mod lights;
 mod octree_file;

@@ -228,7 +228,7 @@ pub fn convolve_diffuse(
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use pbgi_raster::{Ink, Lanes, Section, SimdLevel, Veil, WideKernel, run_wide};
+    use pbgi_raster::{Ink, Lanes, NO_LAMP, Section, SimdLevel, Veil, WideKernel, run_wide};
 
     fn normals() -> impl Iterator<Item = Vec3> {
         (0..200u32).map(|i| {
@@ -267,8 +267,8 @@ pub(crate) mod tests {
         type Output = ();
 
         fn run<L: Lanes>(self) {
-            let ink =
-                Ink { veil: Veil::OPAQUE, solid_angle: 1.0, radiance: [3.0; 3], tolerance: 0.01 };
+            let (veil, radiance) = (Veil::OPAQUE, [3.0; 3]);
+            let ink = Ink { veil, radiance, solid_angle: 1.0, tolerance: 0.01, lamp: NO_LAMP };
             self.0.clear::<L>(self.1);
             for &(inverse, low, high) in self.2 {
                 self.0.look_at_box(low, high);

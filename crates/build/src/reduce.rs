@@ -75,10 +75,14 @@ impl Candidate {
         }
         let contrast = if l + m > 0.0 { f64::from((l - m).abs() / (l + m)) } else { 0.0 };
         let roundness = (v / a.area - w / b.area).abs() * a.area.min(b.area);
+        // Of the light of both, what the lamp shines, and the sum would shine from where the other is.
+        let fluxes = [f64::from(l) * a.area, f64::from(m) * b.area];
+        let lamp = if l > m { fluxes[0] } else { fluxes[1] };
+        let displaced = lamp / (fluxes[0] + fluxes[1]);
         let glare = ((contrast - LAMP_CONTRAST) / (1.0 - LAMP_CONTRAST)).max(0.0);
         cancelled * (1.0 + 2.0 * contrast)
             + 0.25 * contrast * roundness
-            + glare * a.area.min(b.area)
+            + glare * displaced * (a.area + b.area)
     }
 }
 
@@ -247,6 +251,35 @@ mod tests {
             kept[i].add(&other);
         }
         kept
+    }
+
+    /// A lobe of a flat piece.
+    fn flat(normal: DVec3, area: f64, light: f64) -> LobeSum {
+        LobeSum {
+            vector: normal * area,
+            area,
+            flux: [light * area; 3],
+            blocks_back: true,
+            covered: area,
+            ..LobeSum::default()
+        }
+    }
+
+    #[test]
+    fn a_small_lamp_in_a_lit_room_stays_apart() {
+        // A lamp of a twentieth of its ceiling, which is lit as the other walls are; and one that is so dim that it may go with the ceiling.
+        for (light, expected) in [(16.0, true), (0.3, false)] {
+            let axes = [DVec3::X, DVec3::Y, DVec3::Z, DVec3::NEG_X, DVec3::NEG_Y, DVec3::NEG_Z];
+            let mut lobes = axes.map(|normal| flat(normal, 1.0, 0.1)).to_vec();
+            lobes.push(flat(DVec3::NEG_Y, 0.05, light));
+            let mut reducer = LobeReducer::default();
+            for lobe in &lobes {
+                reducer.add(lobe, 6.05);
+            }
+            let kept = reducer.reduce(6.05);
+            let is_kept = |lobe: &LobeSum| f64::from(luminance(lobe.radiance())) > 0.9 * light;
+            assert_eq!(kept.iter().any(is_kept), expected, "{light}: {:?}", &kept[..]);
+        }
     }
 
     #[test]

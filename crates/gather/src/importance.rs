@@ -10,7 +10,6 @@
 //!
 //! where *texel* is that of the smallest texel of the raster that is drawn into: nothing smaller shows.
 
-use crate::lamps::Lamps;
 use pbgi_brdf::GgxLobe;
 use pbgi_cut::{NodeSeen, Threshold};
 use pbgi_light::{EnvironmentPyramid, Variation};
@@ -166,12 +165,12 @@ impl<'a> Stakes<'a> {
         self.inverse == 0.0 || (self.surfaces.is_some() && self.sky.is_none())
     }
 
-    /// Factor of light so many times as bright as usual. A node may hide lamps of this brightness.
+    /// Factor of light so many times as bright as usual.
     ///
     /// Where a node lies is known to about its half-angle, so the error of the light that it sends or hides is as its radiance times its
     /// solid angle to the power 3/2: errors are equal where solid angles are as the radiance to the power −2/3.
     #[inline(always)]
-    fn factor(&self, node: &NodeSeen, lamps: f32) -> f32 {
+    fn factor(&self, node: &NodeSeen) -> f32 {
         if self.are_even() {
             return 1.0;
         }
@@ -180,7 +179,6 @@ impl<'a> Stakes<'a> {
             Some(sky) => sky.brightness(node.to_center, node.radius2 / node.distance2),
             None => self.sky_mean,
         };
-        let hides = if hides > lamps { hides } else { lamps };
         let at_stake = if shines > hides { shines } else { hides };
         let factor = power_minus_two_thirds(at_stake * self.inverse);
         factor.clamp(BRIGHT_FACTOR_MIN, DARK_FACTOR_MAX)
@@ -202,13 +200,12 @@ pub(crate) struct CubeThreshold<'a> {
     pub texel_sr: f32,
     pub terms: ImportanceTerms,
     pub stakes: Stakes<'a>,
-    pub lamps: &'a Lamps,
 }
 
 impl Threshold for CubeThreshold<'_> {
     #[inline(always)]
     fn sin2_max(&self, node: &NodeSeen) -> f32 {
-        let mut factor = self.stakes.factor(node, self.lamps.behind(node));
+        let mut factor = self.stakes.factor(node);
         if self.terms.cosine {
             factor /= (node.top / node.distance2.sqrt()).clamp(COSINE_MIN, 1.0);
         }
@@ -255,7 +252,7 @@ impl Threshold for LobeThreshold<'_> {
     /// angle that this share has where the node comes nearest to the mirror direction.
     #[inline(always)]
     fn sin2_max(&self, node: &NodeSeen) -> f32 {
-        let mut factor = self.stakes.factor(node, 0.0);
+        let mut factor = self.stakes.factor(node);
         if self.terms.quality && node.is_plane {
             factor *= PLANE_FACTOR;
         }
@@ -275,9 +272,6 @@ impl Threshold for LobeThreshold<'_> {
 pub(crate) mod tests {
     use super::*;
     use pbgi_light::{Environment, EnvironmentOptions, SkyParameters, synthetic_sky};
-    use std::sync::LazyLock;
-
-    static NO_LAMPS: LazyLock<Lamps> = LazyLock::new(Lamps::new);
 
     pub(crate) fn node(to_center: Vec3, radius: f32) -> NodeSeen {
         NodeSeen {
@@ -292,8 +286,7 @@ pub(crate) mod tests {
 
     fn cube(terms: ImportanceTerms, surfaces: f32) -> CubeThreshold<'static> {
         let stakes = Stakes::new(terms, surfaces, None);
-        let lamps = &*NO_LAMPS;
-        CubeThreshold { user_sr: 0.1, texel_sr: 0.01, terms, stakes, lamps }
+        CubeThreshold { user_sr: 0.1, texel_sr: 0.01, terms, stakes }
     }
 
     fn only(name: &str) -> ImportanceTerms {

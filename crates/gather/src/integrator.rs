@@ -6,15 +6,15 @@ use crate::light::{PreparedLight, PreparedPeak};
 use crate::receiver::{Gloss, Receiver, Shading};
 use crate::record::{Record, Tolerance};
 use crate::reflect::{LobeScratch, LobeVisitor};
-use crate::visitors::{CubeVisitor, WindowVisitor};
+use crate::visitors::CubeVisitor;
+use crate::windows::LAMP_WINDOW_EDGE;
 use pbgi_brdf::{ConvolutionTable, Differential, Differentiator, GgxLobe, convolve_diffuse};
 use pbgi_cut::{
-    CutReceiver, CutScratch, CutStats, CutVisitor, KNOWN_BYTES, NodeReader, Threshold,
-    UniformThreshold, pick_cut,
+    CutReceiver, CutScratch, CutStats, CutVisitor, KNOWN_BYTES, NodeReader, Threshold, pick_cut,
 };
-use pbgi_math::{Vec3, sphere_sin2_for_solid_angle};
+use pbgi_math::Vec3;
 use pbgi_raster::{
-    CubeRaster, CubeRasterTable, Lanes, SimdLevel, WideKernel, WindowRaster, run_wide,
+    CubeRaster, CubeRasterTable, Lanes, SimdLevel, WideKernel, Window, WindowRaster, run_wide,
 };
 use pbgi_store::{Reader, StoreError};
 use std::marker::PhantomData;
@@ -75,9 +75,6 @@ impl Default for GatherSettings {
     }
 }
 
-/// Share of a window's texel that a node may span to be drawn as one.
-const WINDOW_TEXEL_SHARE: f32 = 0.5;
-
 /// Everything one thread needs to gather for receivers, one after the other.
 pub struct Gatherer<'a> {
     pub(crate) walker: Walker<'a>,
@@ -86,8 +83,10 @@ pub struct Gatherer<'a> {
     table: ConvolutionTable,
     /// What records are differentiated by; none where each receiver gathers for itself.
     differentiator: Option<Differentiator>,
-    raster: CubeRaster,
-    window_raster: WindowRaster,
+    pub(crate) raster: CubeRaster,
+    pub(crate) window_raster: WindowRaster,
+    /// The window that looks at a lamp.
+    pub(crate) lamp_window: Window,
     lobe: LobeScratch,
     /// What importance weighs brightness by; found by the first gather.
     stakes: Option<Stakes<'a>>,
@@ -126,6 +125,7 @@ impl<'a> Gatherer<'a> {
             stakes: None,
             lamps: Lamps::new(),
             window_raster: WindowRaster::default(),
+            lamp_window: Window::scattered(LAMP_WINDOW_EDGE.ilog2()),
         }
     }
 
@@ -148,9 +148,11 @@ impl<'a> Gatherer<'a> {
             let place = self.cut_receiver(receiver);
             self.find_lamps(&place)?;
             let (stakes, gatherer) = (self.stakes()?, &mut *self);
-            let kernel =
-                CubeKernel { gatherer, place: &place, receiver, shading: &mut shading, stakes };
+            let kernel = CubeKernel { gatherer, place: &place, receiver, stakes };
             run_wide(kernel.gatherer.settings.simd, kernel)?;
+            self.look_at_lamps(&place)?;
+            let kernel = ConvolutionKernel { gatherer: self, receiver, shading: &mut shading };
+            run_wide(kernel.gatherer.settings.simd, kernel);
         }
         if self.settings.parts != GatherParts::Broad {
             self.gather_sharp(receiver, &mut shading)?;
@@ -227,9 +229,7 @@ impl<'a> Gatherer<'a> {
             run_wide(kernel.gatherer.settings.simd, kernel)?;
         }
         for peak in peaks.iter().filter(|peak| is_met(peak)) {
-            let kernel = PeakKernel { gatherer: self, peak, place: &place };
-            run_wide(kernel.gatherer.settings.simd, kernel)?;
-            self.add_peak(peak, receiver, lobe.as_ref(), shading);
+            self.gather_peak(peak, &place, receiver, lobe.as_ref(), shading)?;
         }
         Ok(())
     }
@@ -239,7 +239,7 @@ impl<'a> Gatherer<'a> {
         CutReceiver::new(position, normal, plane, self.settings.bias)
     }
 
-    /// Finds what shines brightly around a place, for importance.
+    /// Finds what shines brightly around a place.
     pub(crate) fn find_lamps(&mut self, place: &CutReceiver) -> Result<(), StoreError> {
         let usual = self.stakes()?.usual;
         self.lamps.clear(usual);
@@ -251,9 +251,8 @@ impl<'a> Gatherer<'a> {
             return Ok(());
         }
         let threshold = LampThreshold::new(&self.lamps);
-        let mut visitor = LampVisitor { lamps: &mut self.lamps };
+        let mut visitor = LampVisitor { lamps: &mut self.lamps, normal: place.normal() };
         self.walker.look(place, &threshold, &mut visitor)?;
-        self.lamps.finish();
         Ok(())
     }
 
@@ -268,37 +267,11 @@ impl<'a> Gatherer<'a> {
         self.stakes = Some(stakes);
         Ok(stakes)
     }
-
-    /// Adds the light of a peak through what its window has left open.
-    fn add_peak(
-        &self,
-        peak: &PreparedPeak,
-        receiver: &Receiver,
-        lobe: Option<&GgxLobe>,
-        shading: &mut Shading,
-    ) {
-        for (index, (direction, light)) in peak.texels.iter().enumerate() {
-            if !self.window_raster.is_open(index) || direction.dot(receiver.plane) <= 0.0 {
-                continue;
-            }
-            let cosine = direction.dot(receiver.normal).max(0.0);
-            let reflect = lobe.map_or([0.0; 3], |lobe| lobe.reflect(*direction));
-            for channel in 0..3 {
-                shading.environment_irradiance[channel] += cosine * light[channel];
-                shading.reflected[channel] += reflect[channel] * light[channel];
-            }
-        }
-    }
 }
 
 /// Solid angle of the smallest texel of a cube with one texel per face, in the limit of many: those in the corners, by (1 + 1 + 1)^(−3/2)
 /// of 4 in the middle.
 const SMALLEST_TEXEL_SR: f32 = 4.0 / 5.196_152;
-
-/// The same threshold everywhere.
-fn uniform(solid_angle_sr: f32) -> UniformThreshold {
-    UniformThreshold::from_sine(sphere_sin2_for_solid_angle(solid_angle_sr).sqrt())
-}
 
 /// Picks cuts of one octree, one after the other.
 pub(crate) struct Walker<'a> {
@@ -309,7 +282,7 @@ pub(crate) struct Walker<'a> {
 
 impl Walker<'_> {
     #[inline(always)]
-    fn pick<T: Threshold, V: CutVisitor>(
+    pub fn pick<T: Threshold, V: CutVisitor>(
         &mut self,
         receiver: &CutReceiver,
         threshold: &T,
@@ -333,12 +306,11 @@ impl Walker<'_> {
     }
 }
 
-/// Everything but peaks and reflections, compiled for every SIMD level: the cut drawn into the cube, over the environment's base.
+/// The cut drawn into the cube, compiled for every SIMD level.
 struct CubeKernel<'k, 'a> {
     gatherer: &'k mut Gatherer<'a>,
     place: &'k CutReceiver,
     receiver: &'k Receiver,
-    shading: &'k mut Shading,
     stakes: Stakes<'a>,
 }
 
@@ -347,8 +319,8 @@ impl WideKernel for CubeKernel<'_, '_> {
 
     #[inline(always)]
     fn run<L: Lanes>(self) -> Self::Output {
-        let Self { gatherer, place, receiver, shading, stakes } = self;
-        let Gatherer { walker, settings, light, table, raster, lamps, .. } = gatherer;
+        let Self { gatherer, place, receiver, stakes } = self;
+        let Gatherer { walker, settings, raster, lamps, .. } = gatherer;
         raster.clear_above::<L>(receiver.normal, receiver.plane);
         let edge = settings.raster_edge as f32;
         let threshold = CubeThreshold {
@@ -356,10 +328,27 @@ impl WideKernel for CubeKernel<'_, '_> {
             texel_sr: SMALLEST_TEXEL_SR / (edge * edge),
             terms: settings.importance,
             stakes,
-            lamps,
         };
-        let mut visitor = CubeVisitor::<L> { raster, plane: receiver.plane, lanes: PhantomData };
-        walker.pick(place, &threshold, &mut visitor)?;
+        let (plane, lanes) = (receiver.plane, PhantomData);
+        let mut visitor = CubeVisitor::<L> { raster, lamps, plane, lanes };
+        walker.pick(place, &threshold, &mut visitor)
+    }
+}
+
+/// The cube over the environment's base, times the receiver's cosine.
+struct ConvolutionKernel<'k, 'a> {
+    gatherer: &'k Gatherer<'a>,
+    receiver: &'k Receiver,
+    shading: &'k mut Shading,
+}
+
+impl WideKernel for ConvolutionKernel<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let Self { gatherer, receiver, shading } = self;
+        let Gatherer { light, table, raster, .. } = gatherer;
         let base = light.map(|light| &light.base);
         let diffuse = convolve_diffuse(raster, table, base, [receiver.normal, receiver.plane]);
         shading.surface_irradiance = diffuse.surface_irradiance;
@@ -367,7 +356,6 @@ impl WideKernel for CubeKernel<'_, '_> {
         shading.ambient_occlusion = diffuse.ambient_occlusion;
         shading.sky_visibility = diffuse.sky_visibility;
         shading.bent_normal = diffuse.bent_normal;
-        Ok(())
     }
 }
 
@@ -431,37 +419,5 @@ impl WideKernel for LobeKernel<'_, '_> {
         walker.pick(place, &threshold, &mut visitor)?;
         (shading.reflected, shading.gloss_albedo) = scratch.resolve(*light);
         Ok(())
-    }
-}
-
-/// Light from one peak: a narrow walk that draws what blocks its window.
-struct PeakKernel<'k, 'a> {
-    gatherer: &'k mut Gatherer<'a>,
-    peak: &'k PreparedPeak,
-    place: &'k CutReceiver,
-}
-
-impl WideKernel for PeakKernel<'_, '_> {
-    type Output = Result<(), StoreError>;
-
-    #[inline(always)]
-    fn run<L: Lanes>(self) -> Self::Output {
-        let Self { gatherer, peak, place } = self;
-        let Gatherer { walker, settings, window_raster, .. } = gatherer;
-        window_raster.clear(&peak.window);
-        let user_sr = settings.solid_angle_sr;
-        let threshold = if settings.importance.env {
-            let sine = 0.5 * WINDOW_TEXEL_SHARE * peak.texel_width * peak.relief;
-            UniformThreshold::from_sine(sine.min(sphere_sin2_for_solid_angle(user_sr).sqrt()))
-        } else {
-            uniform(user_sr)
-        };
-        let mut visitor = WindowVisitor::<L> {
-            raster: window_raster,
-            window: &peak.window,
-            plane: place.plane(),
-            lanes: PhantomData,
-        };
-        walker.pick(place, &threshold, &mut visitor)
     }
 }

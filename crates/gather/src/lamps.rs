@@ -1,135 +1,126 @@
-//! Where bright surfaces lie around a receiver, whether or not anything hides them: what stands before them must be fine.
+//! What shines brightly around a receiver, whether or not anything hides it: what may be cut is looked at through a window.
 
 use crate::primitive::surfel_solid_angle;
 use pbgi_cut::{Cluster, CutVisitor, Kept, NodeSeen, SurfelSeen, Threshold};
-use pbgi_math::{CubeMap, Vec3, sphere_sin2_for_solid_angle};
-use std::f32::consts::PI;
-
-/// Texels along a face of the finest level.
-const EDGE: usize = 8;
-
-/// Levels: 8, 4, 2 and 1 texels along a face.
-const LEVELS: usize = EDGE.trailing_zeros() as usize + 1;
+use pbgi_math::{Vec3, larger, sphere_sin2_for_solid_angle};
+use pbgi_raster::{LAMPS, NO_LAMP};
 
 /// Brightness over what is usual from which on a surface is a lamp.
 const LAMP_BRIGHTNESS: f32 = 4.0;
 
-/// A cube map at every coarseness of the light that lamps send to a receiver, and of how far away they are.
-///
-/// A texel's brightness is the sum over its lamps of radiance × solid angle, over the texel's own. It is kept for each texel as the largest
-/// of its own and of the eight around it, on whichever face they lie, so that no lamp is lost between texels or levels.
-#[derive(Clone, Debug)]
-pub(crate) struct Lamps {
-    levels: Vec<Level>,
-    is_empty: bool,
-    /// Radiance from which on surfaces are lamps, of the brightest channel; W·m⁻²·sr⁻¹.
-    pub least: f32,
+/// Largest solid angle of a node that is taken as a part of a lamp, in steradians.
+const PART_SR: f32 = 0.03;
+
+/// Squared sine of the half-angle of nodes that are looked into whatever their brightness: what stands for a large node is a mean, and lamps in it
+/// are near.
+const NEAR_SIN2: f32 = 0.25;
+
+/// Width of the gap between two parts of one lamp, over the extent of the smaller.
+const PART_GAP: f32 = 0.5;
+
+/// Share of a lamp's extent by which its parts may lie beside it, as those that have been found are not those that are drawn.
+const PLACE_SLACK: f32 = 0.1;
+
+/// Bright surfaces that touch each other, or nearly.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Lamp {
+    /// Corners of its box, relative to the receiver.
+    pub low: Vec3,
+    pub high: Vec3,
+    /// Irradiance from it, if nothing hid it; W·m⁻².
+    pub irradiance: [f32; 3],
 }
 
-/// One level.
-#[derive(Clone, Debug)]
-struct Level {
-    map: CubeMap,
-    /// The texels around each, itself among them.
-    around: Vec<[u16; 9]>,
-    /// 1 over the solid angle of a texel, the mean of all; sr⁻¹.
-    inverse_solid_angle: f32,
-    /// Brightness and farthest distance of each texel's own lamps.
-    own: Vec<[f32; 2]>,
-    /// The largest of each among a texel and those around it.
-    spread: Vec<[f32; 2]>,
-}
+impl Lamp {
+    /// Whether another is a part of the same lamp.
+    fn is_with(&self, other: &Self) -> bool {
+        let gap = (self.low - other.high).max(other.low - self.high).max(Vec3::ZERO);
+        let extent = |lamp: &Self| (lamp.high - lamp.low).max_element();
+        gap.length() <= PART_GAP * extent(self).min(extent(other))
+    }
 
-impl Level {
-    fn new(edge: usize) -> Self {
-        let map = CubeMap::new(edge);
-        let count = map.texel_count();
-        let around = |index| map.around(index).map(|beside| beside as u16);
-        Self {
-            around: (0..count).map(around).collect(),
-            inverse_solid_angle: count as f32 / (4.0 * PI),
-            own: vec![[0.0; 2]; count],
-            spread: vec![[0.0; 2]; count],
-            map,
+    fn join(&mut self, other: &Self) {
+        (self.low, self.high) = (self.low.min(other.low), self.high.max(other.high));
+        for (sum, light) in self.irradiance.iter_mut().zip(other.irradiance) {
+            *sum += light;
         }
     }
+
+    /// How far away any of it is, at most.
+    pub fn farthest(&self) -> f32 {
+        self.low.abs().max(self.high.abs()).length()
+    }
+
+    fn strength(&self) -> f32 {
+        largest(self.irradiance)
+    }
+}
+
+/// The lamps around a receiver.
+#[derive(Clone, Debug)]
+pub(crate) struct Lamps {
+    /// Those that have a number, in its order.
+    numbered: Vec<Lamp>,
+    /// Radiance from which on surfaces are lamps, of the brightest channel; W·m⁻²·sr⁻¹.
+    pub least: f32,
 }
 
 impl Lamps {
     /// No lamps.
     pub fn new() -> Self {
-        let levels = (0..LEVELS).map(|level| Level::new(EDGE >> level)).collect();
-        Self { levels, is_empty: true, least: 0.0 }
+        Self { numbered: Vec::with_capacity(LAMPS), least: 0.0 }
     }
 
     /// Forgets all lamps; surfaces are lamps where they are much brighter than `usual`.
     pub fn clear(&mut self, usual: f32) {
         self.least = LAMP_BRIGHTNESS * usual;
-        if !self.is_empty {
-            for level in &mut self.levels {
-                level.own.fill([0.0; 2]);
-                level.spread.fill([0.0; 2]);
+        self.numbered.clear();
+    }
+
+    /// Adds a part to the lamps it touches, which are one from then on, or as another. When all numbers are taken, the weakest lamp has none.
+    fn add(&mut self, part: &Lamp) {
+        let mut lamp = *part;
+        let mut number = 0;
+        while number < self.numbered.len() {
+            if self.numbered[number].is_with(&lamp) {
+                lamp.join(&self.numbered.swap_remove(number));
+                // The larger one may touch those before.
+                number = 0;
+            } else {
+                number += 1;
             }
-            self.is_empty = true;
         }
-    }
-
-    /// Adds a lamp in the direction `toward`, as long as it is far away, that shines by `light`, radiance × solid angle.
-    #[inline(always)]
-    fn add(&mut self, toward: Vec3, light: f32) {
-        let distance = toward.length();
-        for level in &mut self.levels {
-            let own = &mut level.own[level.map.texel_index(toward)];
-            own[0] += light * level.inverse_solid_angle;
-            own[1] = own[1].max(distance);
-        }
-        self.is_empty = false;
-    }
-
-    /// Makes [`Self::behind`] right for all lamps added.
-    pub fn finish(&mut self) {
-        if self.is_empty {
+        if self.numbered.len() < usize::from(NO_LAMP) {
+            self.numbered.push(lamp);
             return;
         }
-        for level in &mut self.levels {
-            for (own, around) in level.own.iter().zip(&level.around) {
-                if own[0] == 0.0 {
-                    continue;
-                }
-                for beside in around {
-                    let spread = &mut level.spread[usize::from(*beside)];
-                    *spread = [spread[0].max(own[0]), spread[1].max(own[1])];
-                }
-            }
+        let weaker = |a: &&mut Lamp, b: &&mut Lamp| a.strength().total_cmp(&b.strength());
+        if let Some(weakest) = self.numbered.iter_mut().min_by(weaker)
+            && weakest.strength() < lamp.strength()
+        {
+            *weakest = lamp;
         }
     }
 
-    /// Brightness of the lamps in and just beside the cone around a node, where any of them is farther away than its nearest point; as a
-    /// mean over a texel as wide as the cone.
+    /// Lamps that have a number, in its order.
+    pub fn numbered(&self) -> &[Lamp] {
+        &self.numbered
+    }
+
+    /// Number of the lamp at a place, relative to the receiver.
     #[inline(always)]
-    pub fn behind(&self, node: &NodeSeen) -> f32 {
-        if self.is_empty {
-            return 0.0;
+    pub fn number_at(&self, place: Vec3) -> u8 {
+        for (number, lamp) in self.numbered.iter().enumerate() {
+            let slack = (lamp.high - lamp.low) * PLACE_SLACK;
+            if place.cmpge(lamp.low - slack).all() && place.cmple(lamp.high + slack).all() {
+                return number as u8;
+            }
         }
-        // A texel in the middle of a face spans 2/n; the cone twice its sine.
-        let texels2 = node.radius2 / node.distance2 * (EDGE * EDGE) as f32;
-        let level = if texels2 <= 1.0 {
-            0
-        } else if texels2 <= 4.0 {
-            1
-        } else if texels2 <= 16.0 {
-            2
-        } else {
-            3
-        };
-        let level = &self.levels[level];
-        let [brightness, distance] = level.spread[level.map.texel_index(node.to_center)];
-        let reach = distance + node.radius2.sqrt();
-        if node.distance2 <= reach * reach { brightness } else { 0.0 }
+        NO_LAMP
     }
 }
 
-/// Nodes that may be lamps, no larger than a texel.
+/// Nodes that may be lamps, no larger than parts of them.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LampThreshold {
     sin2_max: f32,
@@ -138,8 +129,7 @@ pub(crate) struct LampThreshold {
 
 impl LampThreshold {
     pub fn new(lamps: &Lamps) -> Self {
-        let texel_sr = 4.0 * PI / (6 * EDGE * EDGE) as f32;
-        Self { sin2_max: sphere_sin2_for_solid_angle(texel_sr), least: lamps.least }
+        Self { sin2_max: sphere_sin2_for_solid_angle(PART_SR), least: lamps.least }
     }
 }
 
@@ -151,13 +141,24 @@ impl Threshold for LampThreshold {
 
     #[inline(always)]
     fn is_wanted(&self, node: &NodeSeen) -> bool {
-        node.brightness >= self.least
+        node.brightness >= self.least || node.radius2 > NEAR_SIN2 * node.distance2
     }
 }
 
 /// Collects lamps.
 pub(crate) struct LampVisitor<'a> {
     pub lamps: &'a mut Lamps,
+    /// Of the receiver.
+    pub normal: Vec3,
+}
+
+impl LampVisitor<'_> {
+    /// Adds what shines in a box, whose middle is `toward`, if it is a lamp.
+    #[inline(always)]
+    fn add(&mut self, [low, high]: [Vec3; 2], toward: Vec3, solid_angle: f32, radiance: [f32; 3]) {
+        let weight = solid_angle * larger(self.normal.dot(toward) / toward.length(), 0.0);
+        self.lamps.add(&Lamp { low, high, irradiance: radiance.map(|light| light * weight) });
+    }
 }
 
 impl CutVisitor for LampVisitor<'_> {
@@ -168,11 +169,10 @@ impl CutVisitor for LampVisitor<'_> {
 
     #[inline(always)]
     fn take_cluster(&mut self, cluster: &Cluster) {
+        let (bounds, toward) = ([cluster.low, cluster.high], (cluster.low + cluster.high) * 0.5);
         for piece in cluster.pieces() {
-            let brightness = largest(piece.radiance);
-            if brightness >= self.lamps.least {
-                let toward = (cluster.low + cluster.high) * 0.5;
-                self.lamps.add(toward, brightness * piece.solid_angle);
+            if largest(piece.radiance) >= self.lamps.least {
+                self.add(bounds, toward, piece.solid_angle, piece.radiance);
             }
         }
     }
@@ -180,11 +180,9 @@ impl CutVisitor for LampVisitor<'_> {
     #[inline(always)]
     fn take_surfel(&mut self, seen: &SurfelSeen<'_>) {
         let surfel = seen.surfel;
-        let brightness = largest(surfel.radiance);
         let is_seen = surfel.isotropic || surfel.normal.dot(seen.center) < 0.0;
-        if brightness >= self.lamps.least && is_seen {
-            let solid_angle = surfel_solid_angle(seen);
-            self.lamps.add(seen.center, brightness * solid_angle);
+        if is_seen && largest(surfel.radiance) >= self.lamps.least {
+            self.add(seen.bounds(), seen.center, surfel_solid_angle(seen), surfel.radiance);
         }
     }
 
@@ -201,46 +199,40 @@ fn largest(radiance: [f32; 3]) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::importance::tests::node;
 
-    fn one_lamp(toward: Vec3, light: f32) -> Lamps {
+    fn part(x: f32, size: f32, light: f32) -> Lamp {
+        let low = Vec3::new(x, 5.0, 0.0);
+        Lamp { low, high: low + Vec3::new(size, 0.0, size), irradiance: [light; 3] }
+    }
+
+    #[test]
+    fn parts_that_touch_are_one_lamp() {
         let mut lamps = Lamps::new();
         lamps.clear(1.0);
-        lamps.add(toward, light);
-        lamps.finish();
-        lamps
-    }
-
-    #[test]
-    fn a_lamp_counts_for_what_stands_before_it_and_for_nothing_else() {
-        // In the middle of a face, in a corner of three, and on an edge.
-        for toward in [Vec3::Z, Vec3::ONE, Vec3::new(1.0, 1.0, 0.2)] {
-            let toward = toward.normalize() * 5.0;
-            let lamps = one_lamp(toward, 0.5);
-            for radius in [0.01, 0.3, 0.9] {
-                let before = lamps.behind(&node(toward * 0.4, radius));
-                // At least the mean over the texels around the node.
-                let sr = PI * (radius / 2.0).powi(2);
-                assert!(before > 0.5 / (64.0 * sr).max(0.1), "{toward} {radius}: {before}");
-                assert_eq!(lamps.behind(&node(toward * 3.0, radius)), 0.0);
-                assert_eq!(lamps.behind(&node(toward * -0.4, radius * 0.1)), 0.0);
-            }
-            // A little beside it, over whichever border, but not far.
-            let aside = toward.any_orthonormal_vector();
-            assert!(lamps.behind(&node(toward * 0.4 + aside * 0.1, 0.01)) > 1.0);
-            assert_eq!(lamps.behind(&node(toward * 0.4 + aside * 1.5, 0.01)), 0.0);
+        // The third closes the gap between the first two, the last stands apart.
+        for (x, light) in [(0.0, 1.0), (2.5, 2.0), (1.2, 4.0), (9.0, 8.0)] {
+            lamps.add(&part(x, 1.0, light));
         }
+        let [one, other] = lamps.numbered() else { panic!("{:?}", lamps.numbered()) };
+        assert_eq!((one.low.x, one.high.x, one.irradiance), (0.0, 3.5, [7.0; 3]));
+        assert_eq!((other.low.x, other.irradiance), (9.0, [8.0; 3]));
+        assert_eq!(lamps.number_at(Vec3::new(1.8, 5.0, 0.5)), 0);
+        assert_eq!(lamps.number_at(Vec3::new(9.9, 5.0, 0.1)), 1);
+        assert_eq!(lamps.number_at(Vec3::new(6.0, 5.0, 0.5)), NO_LAMP);
+        lamps.clear(2.0);
+        assert!(lamps.numbered().is_empty() && lamps.least == 2.0 * LAMP_BRIGHTNESS);
     }
 
     #[test]
-    fn lamps_are_forgotten() {
-        let mut lamps = one_lamp(Vec3::X, 1.0);
-        lamps.clear(2.0);
-        assert_eq!(lamps.behind(&node(Vec3::X * 0.5, 0.01)), 0.0);
-        assert_eq!(lamps.least, 2.0 * LAMP_BRIGHTNESS);
-        lamps.add(Vec3::Y, 1.0);
-        lamps.finish();
-        assert_eq!(lamps.behind(&node(Vec3::X * 0.5, 0.01)), 0.0);
-        assert!(lamps.behind(&node(Vec3::Y * 0.5, 0.01)) > 0.0);
+    fn the_strongest_lamps_have_numbers() {
+        let mut lamps = Lamps::new();
+        let lights = (0..3 * LAMPS).map(|i| (i * 7 % (3 * LAMPS)) as f32);
+        for (i, light) in lights.enumerate() {
+            lamps.add(&part(3.0 * i as f32, 1.0, light));
+        }
+        let mut found: Vec<f32> = lamps.numbered().iter().map(Lamp::strength).collect();
+        found.sort_by(f32::total_cmp);
+        let strongest = (2 * LAMPS + 1..3 * LAMPS).map(|light| light as f32);
+        assert_eq!(found, strongest.collect::<Vec<_>>());
     }
 }

@@ -13,6 +13,7 @@ mod receiver;
 mod record;
 mod reflect;
 mod visitors;
+mod windows;
 
 pub use importance::ImportanceTerms;
 pub use integrator::{GatherParts, GatherSettings, Gatherer};

@@ -129,7 +129,7 @@ impl<L: Lanes> LobeVisitor<'_, L> {
     /// mirror direction.
     #[inline(always)]
     fn ink(&self, ink: &Ink, place: &Place) -> Drawn {
-        let Ink { veil, tolerance, radiance, solid_angle } = *ink;
+        let Ink { veil, tolerance, radiance, solid_angle, .. } = *ink;
         let from = place.toward * (1.0 / place.toward.length());
         let ink = LobeInk { veil, tolerance, radiance, reflected: [0.0; 3] };
         let mut drawn = Drawn { ink, solid_angle, from, is_particle: false };

@@ -1,10 +1,11 @@
-//! The cut, drawn into rasters.
+//! The cut, drawn into the cube.
 
+use crate::lamps::Lamps;
 use crate::primitive::{Outline, SurfelPen, draw_surfel, piece_ink, piece_shape, surfel_ink};
 use pbgi_cut::{Boxes, Cluster, CutVisitor, Kept, NOTHING_KEPT, SurfelSeen};
 use pbgi_format::CHILDREN_MAX;
 use pbgi_math::Vec3;
-use pbgi_raster::{CubeRaster, Lanes, NO_FOOTPRINT_CODE, Shape, Veil, Window, WindowRaster};
+use pbgi_raster::{CubeRaster, Ink, Lanes, NO_FOOTPRINT_CODE, Shape};
 use std::marker::PhantomData;
 
 /// Of boxes whose footprint has no code nothing is kept.
@@ -13,9 +14,21 @@ const _: () = assert!(NO_FOOTPRINT_CODE == NOTHING_KEPT);
 /// Draws the cut into the cube.
 pub(crate) struct CubeVisitor<'a, L> {
     pub raster: &'a mut CubeRaster,
+    pub lamps: &'a Lamps,
     /// Of the receiver's surface.
     pub plane: Vec3,
     pub lanes: PhantomData<L>,
+}
+
+impl<L: Lanes> CubeVisitor<'_, L> {
+    /// Draws a shape whose middle is `toward`.
+    #[inline(always)]
+    fn put<S: Shape>(&mut self, shape: &S, mut ink: Ink, toward: Vec3) {
+        if self.raster.is_lamp(&ink) {
+            ink.lamp = self.lamps.number_at(toward);
+        }
+        self.raster.draw::<L, S>(shape, &ink, toward);
+    }
 }
 
 impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
@@ -31,10 +44,10 @@ impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
 
     #[inline(always)]
     fn take_cluster(&mut self, cluster: &Cluster) {
-        let toward = cluster.low + cluster.high;
+        let toward = (cluster.low + cluster.high) * 0.5;
         for piece in cluster.pieces() {
             let (section, veil) = piece_shape(cluster, piece);
-            self.raster.draw::<L, _>(&section, &piece_ink(cluster, piece, veil), toward);
+            self.put(&section, piece_ink(cluster, piece, veil), toward);
         }
     }
 
@@ -55,51 +68,7 @@ impl<L: Lanes> SurfelPen for CubeVisitor<'_, L> {
     fn draw<S: Shape>(&mut self, seen: &SurfelSeen<'_>, shape: &S, outline: &Outline) {
         let [low, high] = seen.bounds();
         if self.raster.look(seen.kept, low, high) || self.raster.shines() {
-            self.raster.draw::<L, S>(shape, &surfel_ink(seen, outline), seen.center);
-        }
-    }
-}
-
-/// Draws what blocks a window.
-pub(crate) struct WindowVisitor<'a, L> {
-    pub raster: &'a mut WindowRaster,
-    pub window: &'a Window,
-    pub plane: Vec3,
-    pub lanes: PhantomData<L>,
-}
-
-impl<L: Lanes> CutVisitor for WindowVisitor<'_, L> {
-    #[inline(always)]
-    fn is_open(&mut self, low: Vec3, high: Vec3, _: Kept) -> bool {
-        !self.raster.is_closed() && self.window.is_met_by(low, high)
-    }
-
-    #[inline(always)]
-    fn take_cluster(&mut self, cluster: &Cluster) {
-        for piece in cluster.pieces() {
-            let (section, veil) = piece_shape(cluster, piece);
-            self.raster.draw::<L, _>(self.window, &section, &veil);
-        }
-    }
-
-    #[inline(always)]
-    fn take_surfel(&mut self, seen: &SurfelSeen<'_>) {
-        draw_surfel(seen, self.plane, self);
-    }
-
-    #[inline(always)]
-    fn minds_order(&self) -> bool {
-        false
-    }
-}
-
-impl<L: Lanes> SurfelPen for WindowVisitor<'_, L> {
-    #[inline(always)]
-    fn draw<S: Shape>(&mut self, seen: &SurfelSeen<'_>, shape: &S, outline: &Outline) {
-        let [low, high] = seen.bounds();
-        if self.window.is_met_by(low, high) {
-            let veil = Veil { start: 0.0, end: outline.opacity, seed: seen.seed };
-            self.raster.draw::<L, S>(self.window, shape, &veil);
+            self.put(shape, surfel_ink(seen, outline), seen.center);
         }
     }
 }

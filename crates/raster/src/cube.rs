@@ -1,6 +1,7 @@
 //! The cube raster: which samples are covered and how far away, and the radiance of each texel.
 
 use crate::footprint::{BOXES, project_box, project_inside};
+use crate::lamp::{LAMPS, LampSeen};
 use crate::lanes::{Lanes, SAMPLES};
 use crate::samples::{Veil, divisor, offset_sum, place, sample_near};
 use crate::shape::{Rims, Shape};
@@ -30,6 +31,8 @@ pub struct Ink {
     pub radiance: [f32; 3],
     /// Surfaces nearer by no more than this share of the distance are its own neighbors, and do not hide it.
     pub tolerance: f32,
+    /// Number of the lamp it is a part of, below [`LAMPS`]; of no meaning if it is none.
+    pub lamp: u8,
 }
 
 /// What eight texels of a row hold when all is drawn.
@@ -159,7 +162,9 @@ pub struct CubeRaster {
     shines: bool,
     keeps_depths: bool,
     lamp_radiance: f32,
-    lamp_irradiance: [f32; 3],
+    lamps: [LampSeen; LAMPS],
+    /// Samples of each texel that lamps cover.
+    of_lamps: Vec<u16>,
     normal: Vec3,
     /// Samples of each texel that are covered, and those below the horizon.
     covered: Vec<u16>,
@@ -182,8 +187,6 @@ pub struct CubeRaster {
     scale: f32,
     /// Width of a texel in face coordinates.
     step: f32,
-    /// Places of the samples in a texel, in face coordinates.
-    places: [[f32; SAMPLES]; 2],
     /// Coordinates u of the samples in each column, and v of those in each row.
     directions: [Vec<[f32; SAMPLES]>; 2],
     inverse_solid_angles: Vec<f32>,
@@ -208,7 +211,8 @@ impl CubeRaster {
             shines,
             keeps_depths: shines,
             lamp_radiance: f32::INFINITY,
-            lamp_irradiance: [0.0; 3],
+            lamps: [LampSeen::default(); LAMPS],
+            of_lamps: vec![0; if shines { 6 * n * stride } else { 0 }],
             normal: Vec3::Z,
             covered: vec![ALL; 6 * n * stride],
             above: vec![0; 6 * n * stride],
@@ -224,7 +228,6 @@ impl CubeRaster {
             looked_at: Vec::with_capacity(64),
             scale: 0.5 * n as f32,
             step,
-            places,
             directions,
             inverse_solid_angles: table
                 .texels()
@@ -258,7 +261,8 @@ impl CubeRaster {
         self.lit.clear();
         self.open.clear();
         self.rims.fill(Rims::default());
-        self.lamp_irradiance = [0.0; 3];
+        self.lamps = [LampSeen::default(); LAMPS];
+        self.of_lamps.fill(0);
         self.normal = normal;
         for face in CubeFace::ALL {
             let horizon = FaceHorizon::new(normal, face, self.step);
@@ -424,12 +428,15 @@ impl CubeRaster {
         if !self.shines {
             return;
         }
+        if ink.solid_angle >= LARGE_LAMP_SR && self.is_lamp(ink) {
+            self.lamps[usize::from(ink.lamp)].note_large();
+        }
         for number in 0..self.hits.len() {
             let hit = self.hits[number];
             self.shine(&hit, ink, met, toward);
         }
         if met == 0 {
-            self.shine_unmet(shape, toward, ink);
+            self.shine_unmet::<L, S>(shape, toward, ink);
         }
     }
 
@@ -450,7 +457,7 @@ impl CubeRaster {
             } else {
                 self.cosine_in(hit, offset_sum(hit.visible).map(|sum| sum / count as f32))
             };
-            self.shine_lamp((index, place), solid_angle, cosine, &ink.radiance);
+            self.shine_lamp((index, place), solid_angle, cosine, ink);
             return;
         }
         let light = self.light(index, place);
@@ -471,12 +478,9 @@ impl CubeRaster {
         (index, place): (usize, [u8; 3]),
         solid_angle: f32,
         cosine: f32,
-        radiance: &[f32; 3],
+        Ink { radiance, lamp, .. }: &Ink,
     ) {
-        let weight = solid_angle * larger(cosine, 0.0);
-        for (sum, light) in self.lamp_irradiance.iter_mut().zip(radiance) {
-            *sum += weight * light;
-        }
+        self.lamps[usize::from(*lamp)].add(solid_angle * larger(cosine, 0.0), radiance);
         let texel = self.inverse_solid_angles[index] * SAMPLES as f32 / divisor(self.above[index]);
         self.light(index, place).add_lamp(solid_angle * texel, radiance);
     }
@@ -490,8 +494,10 @@ impl CubeRaster {
         self.normal.dot(direction) / direction.length()
     }
 
+    /// Whether a piece is so bright that it is a lamp.
+    #[must_use]
     #[inline(always)]
-    fn is_lamp(&self, ink: &Ink) -> bool {
+    pub fn is_lamp(&self, ink: &Ink) -> bool {
         let [r, g, b] = ink.radiance;
         r >= self.lamp_radiance || g >= self.lamp_radiance || b >= self.lamp_radiance
     }
@@ -500,14 +506,35 @@ impl CubeRaster {
     #[must_use]
     #[inline(always)]
     pub fn lamp_irradiance(&self) -> [f32; 3] {
-        self.lamp_irradiance
+        let mut sum = [0.0; 3];
+        for lamp in &self.lamps {
+            for channel in 0..3 {
+                sum[channel] += lamp.irradiance[channel];
+            }
+        }
+        sum
+    }
+
+    /// What is seen of each lamp.
+    #[must_use]
+    #[inline(always)]
+    pub fn lamps(&self) -> &[LampSeen; LAMPS] {
+        &self.lamps
+    }
+
+    /// Puts another irradiance, W·m⁻², in place of what the samples have found of a lamp.
+    #[inline(always)]
+    pub fn set_lamp_irradiance(&mut self, lamp: usize, irradiance: [f32; 3]) {
+        self.lamps[lamp].irradiance = irradiance;
     }
 
     /// Covers the samples that meet a shape, and counts them. Without light, texels that are covered already need not meet anything.
     #[inline(always)]
     fn cover<L: Lanes, S: Shape>(&mut self, shape: &S, ink: &Ink) -> u32 {
+        let lamp = self.is_lamp(ink).then_some(usize::from(ink.lamp));
         let Self { n, stride, shines, keeps_depths, covered, above, rims, depths, .. } = self;
         let Self { open, rows, looked_at, directions: [across, along], hits, .. } = self;
+        let Self { lamps, of_lamps, .. } = self;
         let (face_texels, shines, keeps_depths) = (*n * *stride, *shines, *keeps_depths);
         let (stride_log2, in_row) = (rows.stride_log2, *stride - 1);
         let opaque = ink.veil.is_opaque();
@@ -528,9 +555,7 @@ impl CubeRaster {
                 let index = start + bit;
                 let (row, column) = ((index - of_face) >> stride_log2, index & in_row);
                 let (u, v) = (L::load(&across[column]), L::load(&along[row]));
-                let w = L::splat(inverse.x)
-                    .add(u.mul(L::splat(inverse.y)))
-                    .add(v.mul(L::splat(inverse.z)));
+                let w = inverse_depths(inverse, u, v);
                 let met = shape.meets([L::splat(1.0), u, v], w).close(&shape, &mut rims[index]);
                 if met == 0 {
                     continue;
@@ -542,6 +567,11 @@ impl CubeRaster {
                 if shines {
                     let hidden = before & L::bits(w.mul(nearer).le(L::load(depths)));
                     let visible = met & above[index] & !hidden;
+                    if let Some(lamp) = lamp {
+                        let there = above[index] & !own_plane::<L>(before, depths);
+                        lamps[lamp].note(there & hidden & !of_lamps[index], there & !hidden);
+                        of_lamps[index] |= visible & !before;
+                    }
                     if visible | new != 0 {
                         let (row, column, index) = (row as u8, column as u8, index as u32);
                         hits.push(Hit { index, face, column, row, visible, new });
@@ -564,7 +594,7 @@ impl CubeRaster {
     /// Adds the light of a piece that met no sample to the texel at its middle. Whether it is hidden says the sample next to it:
     /// others in the texel may lie on other surfaces.
     #[inline(always)]
-    fn shine_unmet<S: Shape>(&mut self, shape: &S, toward: Vec3, ink: &Ink) {
+    fn shine_unmet<L: Lanes, S: Shape>(&mut self, shape: &S, toward: Vec3, ink: &Ink) {
         if toward == Vec3::ZERO {
             return;
         }
@@ -575,22 +605,29 @@ impl CubeRaster {
         let index = (usize::from(face.0) * self.n + row) * self.stride + column;
         let place_in_texel = [x - column as u32 as f32, y - row as u32 as f32];
         let sample = sample_near(place_in_texel[0], place_in_texel[1]);
-        let (covered, above) = (self.covered[index], self.above[index]);
+        let above = self.above[index];
         if above >> sample & 1 == 0 {
             return;
         }
-        let place = |axis: usize| self.places[axis][sample as usize];
-        let (su, sv) = (self.corner(column) + place(0), self.corner(row) + place(1));
-        let w = shape.inverse().dot(face.direction(su, sv));
-        let is_hidden = w * (1.0 + ink.tolerance) <= self.depths[index][sample as usize];
-        if covered >> sample & 1 != 0 && is_hidden {
+        let [across, along] = &self.directions;
+        let inverse = shape.turned(face).inverse();
+        let w = inverse_depths(inverse, L::load(&across[column]), L::load(&along[row]));
+        let (nearer, depths) = (L::splat(1.0 + ink.tolerance), &self.depths[index]);
+        let hidden = self.covered[index] & L::bits(w.mul(nearer).le(L::load(depths)));
+        let is_lamp = self.is_lamp(ink);
+        if is_lamp {
+            let there = above & !own_plane::<L>(self.covered[index], depths);
+            let hidden_by_others = there & hidden & !self.of_lamps[index];
+            self.lamps[usize::from(ink.lamp)].note(hidden_by_others, there & !hidden);
+        }
+        if hidden >> sample & 1 != 0 {
             return;
         }
         let place_in_texel = place_in_texel.map(|x| 2.0 * x - 1.0);
         let place = [face.0, row as u8, column as u8];
-        if self.is_lamp(ink) {
+        if is_lamp {
             let cosine = self.normal.dot(toward) / toward.length();
-            self.shine_lamp((index, place), ink.solid_angle, cosine, &ink.radiance);
+            self.shine_lamp((index, place), ink.solid_angle, cosine, ink);
             return;
         }
         let whole = self.inverse_solid_angles[index] * SAMPLES as f32 / above.count_ones() as f32;
@@ -613,11 +650,10 @@ impl CubeRaster {
     #[must_use]
     #[inline(always)]
     pub fn nearest<L: Lanes>(&self, index: usize) -> f32 {
-        let (drawn, depths) =
-            (self.covered[index] & self.above[index], L::load(&self.depths[index]));
+        let drawn = self.covered[index] & self.above[index];
         // The receiver's own plane is nearer than all and is no thing.
-        let own = L::bits(L::splat(f32::MAX).le(depths));
-        depths.largest_where(drawn & !own)
+        let own = own_plane::<L>(drawn, &self.depths[index]);
+        L::load(&self.depths[index]).largest_where(drawn & !own)
     }
 
     /// Share of the samples of texel `index` (in memory) that lie above the horizon.
@@ -682,6 +718,18 @@ impl CubeRaster {
     pub fn shines(&self) -> bool {
         self.shines
     }
+}
+
+/// Inverse depths of a plane, turned to a face, along the directions of a texel's samples.
+#[inline(always)]
+fn inverse_depths<L: Lanes>(inverse: Vec3, u: L, v: L) -> L {
+    L::splat(inverse.x).add(u.mul(L::splat(inverse.y))).add(v.mul(L::splat(inverse.z)))
+}
+
+/// Of a texel's covered samples, those that the receiver's own plane hides.
+#[inline(always)]
+fn own_plane<L: Lanes>(covered: u16, depths: &[f32; SAMPLES]) -> u16 {
+    covered & L::bits(L::splat(f32::MAX).le(L::load(depths)))
 }
 
 /// The whole part of a number from 0 up to 2²², in few instructions; of a whole one, it may be one less.

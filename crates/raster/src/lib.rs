@@ -5,6 +5,7 @@
 
 mod cube;
 mod footprint;
+mod lamp;
 mod lanes;
 mod lobe;
 mod samples;
@@ -17,6 +18,7 @@ mod tilt;
 mod window;
 
 pub use cube::{CubeRaster, FootprintCode, Ink, NO_FOOTPRINT_CODE, TexelChunk};
+pub use lamp::{LAMPS, LampSeen, NO_LAMP};
 pub use lanes::{Lanes, SAMPLES};
 pub use lobe::{LobeInk, LobeRaster};
 pub use samples::Veil;

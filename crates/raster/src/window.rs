@@ -1,18 +1,22 @@
 //! A window: a small square of fine texels around one direction, for light from few directions.
 
+use crate::cube::Ink;
 use crate::lanes::{Lanes, SAMPLES};
 use crate::samples::Veil;
 use crate::shape::{Rims, Shape};
-use pbgi_math::{Frame, Vec3};
+use pbgi_math::{Frame, Vec3, larger};
 
 /// Directions of a [`WindowRaster`]: `n × n` texels, gnomonic around `frame.normal`.
 ///
-/// Texel (row, column) points along `normal + x·tangent + y·bitangent` with x (columns) and y (rows)
-/// in `−half_width..half_width`.
+/// Texel (row, column) points along `normal + x·tangent + y·bitangent` with x (columns) and y (rows) in `−half_width..half_width` of each: along its
+/// middle, or a place in it.
 #[derive(Clone, Debug)]
 pub struct Window {
+    n: usize,
     frame: Frame,
-    half_width: f32,
+    half_widths: [f32; 2],
+    /// Places along x of a texel in each row, and along y of one in each column, 0 to 1.
+    places: Vec<f32>,
     /// Directions of the texels, row by row, in groups of sixteen; those beyond the last are 0.
     directions: Vec<[[f32; SAMPLES]; 3]>,
     /// Which of each group are texels.
@@ -23,20 +27,48 @@ impl Window {
     /// Window of `n × n` texels around `frame.normal`, `2 half_width` wide at distance 1.
     #[must_use]
     pub fn new(frame: Frame, half_width: f32, n: usize) -> Self {
+        Self::with_places(frame, half_width, vec![0.5; n])
+    }
+
+    /// A window of 2ⁿ × 2ⁿ texels, to be aimed. No two of their directions have the same x or y: an edge along rows or columns is as sharp as any.
+    #[must_use]
+    pub fn scattered(log2_n: u32) -> Self {
+        let n = 1u32 << log2_n;
+        let place = |i: u32| ((i << (u32::BITS - log2_n)).reverse_bits() as f32 + 0.5) / n as f32;
+        Self::with_places(Frame::from_normal(Vec3::Z), 1.0, (0..n).map(place).collect())
+    }
+
+    fn with_places(frame: Frame, half_width: f32, places: Vec<f32>) -> Self {
+        let n = places.len();
         let groups = (n * n).div_ceil(SAMPLES);
-        let mut directions = vec![[[0.0; SAMPLES]; 3]; groups];
         let mut used = vec![0; groups];
-        let at = |i: usize| ((2 * i + 1) as f32 / n as f32 - 1.0) * half_width;
         for index in 0..n * n {
-            let (x, y) = (at(index % n), at(index / n));
-            let d = frame.normal + frame.tangent * x + frame.bitangent * y;
-            let (group, lane) = (index / SAMPLES, index % SAMPLES);
-            for axis in 0..3 {
-                directions[group][axis][lane] = d[axis];
-            }
-            used[group] |= 1 << lane;
+            used[index / SAMPLES] |= 1 << (index % SAMPLES);
         }
-        Self { frame, half_width, directions, used }
+        let directions = vec![[[0.0; SAMPLES]; 3]; groups];
+        let mut window = Self { n, frame, half_widths: [half_width; 2], places, directions, used };
+        window.aim(frame, [half_width; 2]);
+        window
+    }
+
+    /// Turns the window to another direction and makes it so wide along its tangent and bitangent.
+    pub fn aim(&mut self, frame: Frame, half_widths: [f32; 2]) {
+        (self.frame, self.half_widths) = (frame, half_widths);
+        let n = self.n;
+        let at =
+            |i: usize, place: f32, half: f32| (2.0 * (i as f32 + place) / n as f32 - 1.0) * half;
+        for row in 0..n {
+            for column in 0..n {
+                let x = at(column, self.places[row], half_widths[0]);
+                let y = at(row, self.places[column], half_widths[1]);
+                let d = frame.normal + frame.bitangent * y + frame.tangent * x;
+                let index = row * n + column;
+                let group = &mut self.directions[index / SAMPLES];
+                for axis in 0..3 {
+                    group[axis][index % SAMPLES] = d[axis];
+                }
+            }
+        }
     }
 
     /// The window's axis and orientation.
@@ -44,6 +76,13 @@ impl Window {
     #[inline(always)]
     pub fn frame(&self) -> &Frame {
         &self.frame
+    }
+
+    /// Width and height of a texel at distance 1.
+    #[must_use]
+    #[inline(always)]
+    pub fn texel_widths(&self) -> [f32; 2] {
+        self.half_widths.map(|half| 2.0 * half / self.n as f32)
     }
 
     /// Whether the box `low..=high`, relative to the receiver, may reach into the window. Conservative.
@@ -56,23 +95,35 @@ impl Window {
         let Frame { tangent, bitangent, normal } = self.frame;
         let far = c.z + reach(normal);
         // Outside one of the window's four planes |x| ≤ w z: conservative against the far side.
-        let w = self.half_width;
+        let [wx, wy] = self.half_widths;
         far > 0.0
-            && c.x.abs() - reach(tangent) <= w * far
-            && c.y.abs() - reach(bitangent) <= w * far
+            && c.x.abs() - reach(tangent) <= wx * far
+            && c.y.abs() - reach(bitangent) <= wy * far
     }
 }
 
-/// Which of a [`Window`]'s texels surfaces cover.
+/// Which of a [`Window`]'s texels surfaces cover: those that stand before the light behind it, which is infinitely far away, or of lamps.
 #[derive(Clone, Debug, Default)]
 pub struct WindowRaster {
     covered: Vec<u16>,
     rims: Vec<Rims>,
     is_closed: bool,
+    /// Lamps, if that is what the window looks at.
+    lamps: Vec<LampTexels>,
+}
+
+/// The lamps that sixteen texels show.
+#[derive(Clone, Copy, Debug, Default)]
+struct LampTexels {
+    shown: u16,
+    /// Inverse depth along the window's axis, times 1 + the tolerance for neighbors on the same surface; 0 where no lamp is.
+    depths: [f32; SAMPLES],
+    /// By channel.
+    radiance: [[f32; SAMPLES]; 3],
 }
 
 impl WindowRaster {
-    /// Empties the raster for `window`.
+    /// Empties the raster for `window`, for light that is infinitely far away.
     #[inline(always)]
     pub fn clear(&mut self, window: &Window) {
         self.covered.clear();
@@ -80,6 +131,26 @@ impl WindowRaster {
         self.rims.clear();
         self.rims.resize(self.covered.len(), Rims::default());
         self.is_closed = false;
+        self.lamps.clear();
+    }
+
+    /// Empties the raster for lamps, none yet: nothing else is looked at.
+    #[inline(always)]
+    pub fn clear_for_lamps(&mut self, window: &Window) {
+        self.clear(window);
+        self.lamps.resize(self.covered.len(), LampTexels::default());
+    }
+
+    /// Closes all texels that show no lamp.
+    #[inline(always)]
+    pub fn close_around_lamps(&mut self) {
+        let mut shown = 0;
+        for (group, lamps) in self.lamps.iter().enumerate() {
+            self.covered[group] = !lamps.shown;
+            self.rims[group] = Rims::default();
+            shown |= lamps.shown;
+        }
+        self.is_closed = shown == 0;
     }
 
     /// Whether every texel is covered.
@@ -96,7 +167,27 @@ impl WindowRaster {
         self.covered[index / SAMPLES] >> (index % SAMPLES) & 1 == 0
     }
 
-    /// Draws a shape: texels whose middle meets it are covered, as far as the veil does.
+    /// Shows a lamp of this radiance, where no nearer one is; surfaces nearer by no more than the share `tolerance` are its own neighbors.
+    #[inline(always)]
+    pub fn show_lamp<L: Lanes, S: Shape>(&mut self, window: &Window, shape: &S, ink: &Ink) {
+        let inverse = shape.inverse();
+        for (group, (lamps, d)) in self.lamps.iter_mut().zip(&window.directions).enumerate() {
+            let (d, w) = depths_along::<L>(inverse, d);
+            let met = shape.meets(d, w).close(shape, &mut self.rims[group]) & window.used[group];
+            let w = w.mul(L::splat(1.0 + ink.tolerance));
+            let nearer = met & !L::bits(w.le(L::load(&lamps.depths)));
+            if nearer == 0 {
+                continue;
+            }
+            w.store_where(nearer, &mut lamps.depths);
+            for (plane, radiance) in lamps.radiance.iter_mut().zip(ink.radiance) {
+                L::splat(radiance).store_where(nearer, plane);
+            }
+            lamps.shown |= nearer;
+        }
+    }
+
+    /// Draws a shape: texels whose middle meets it before their light are covered, as far as the veil does.
     #[inline(always)]
     pub fn draw<L: Lanes, S: Shape>(&mut self, window: &Window, shape: &S, veil: &Veil) {
         let inverse = shape.inverse();
@@ -105,17 +196,52 @@ impl WindowRaster {
             if *covered == u16::MAX {
                 continue;
             }
-            let d = [L::load(&d[0]), L::load(&d[1]), L::load(&d[2])];
-            let w = d[0]
-                .mul(L::splat(inverse.x))
-                .add(d[1].mul(L::splat(inverse.y)))
-                .add(d[2].mul(L::splat(inverse.z)));
-            let met = shape.meets(d, w).close(shape, &mut self.rims[group]);
+            let (d, w) = depths_along::<L>(inverse, d);
+            let mut met = shape.meets(d, w).close(shape, &mut self.rims[group]);
+            if let Some(lamps) = self.lamps.get(group) {
+                met &= !L::bits(w.le(L::load(&lamps.depths)));
+            }
             *covered |= if veil.is_opaque() { met } else { met & veil.samples(group) };
             open |= !*covered;
         }
         self.is_closed = open == 0;
     }
+
+    /// Irradiance, W·m⁻² by channel, from lamps on a receiver with this normal and own plane: from all that the window sees, and from what is open.
+    #[must_use]
+    pub fn lamp_irradiance(&self, window: &Window, [normal, plane]: [Vec3; 2]) -> [[f32; 3]; 2] {
+        let mut sums = [[0.0; 3]; 2];
+        let [width, height] = window.texel_widths();
+        for (group, lamps) in self.lamps.iter().enumerate() {
+            let mut shown = lamps.shown;
+            while shown != 0 {
+                let lane = shown.trailing_zeros() as usize;
+                shown &= shown - 1;
+                let d = Vec3::from_array(window.directions[group].map(|plane| plane[lane]));
+                let above = if d.dot(plane) > 0.0 { d.dot(normal) } else { 0.0 };
+                // The cosine, and the solid angle of a texel, which is as the direction's length to the power −3.
+                let weight = larger(above, 0.0) * width * height / d.length_squared().powi(2);
+                let is_open = self.covered[group] >> lane & 1 == 0;
+                for channel in 0..3 {
+                    let light = weight * lamps.radiance[channel][lane];
+                    sums[0][channel] += light;
+                    sums[1][channel] += if is_open { light } else { 0.0 };
+                }
+            }
+        }
+        sums
+    }
+}
+
+/// Directions of sixteen texels, and inverse depths of a plane along them.
+#[inline(always)]
+fn depths_along<L: Lanes>(inverse: Vec3, directions: &[[f32; SAMPLES]; 3]) -> ([L; 3], L) {
+    let d = [L::load(&directions[0]), L::load(&directions[1]), L::load(&directions[2])];
+    let w = d[0]
+        .mul(L::splat(inverse.x))
+        .add(d[1].mul(L::splat(inverse.y)))
+        .add(d[2].mul(L::splat(inverse.z)));
+    (d, w)
 }
 
 #[cfg(test)]

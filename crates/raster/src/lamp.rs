@@ -1,0 +1,51 @@
+//! What a cube raster sees of lamps.
+
+/// Lamps that are told apart by number, and one more number for all others.
+pub const LAMPS: usize = 33;
+
+/// The number of lamps that have none of their own.
+pub const NO_LAMP: u8 = (LAMPS - 1) as u8;
+
+/// What is seen of a lamp.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LampSeen {
+    /// Irradiance from what shows of it, W·m⁻².
+    pub irradiance: [f32; 3],
+    /// Whether any sample in its texels is hidden from its plane by what is no lamp.
+    is_hidden: bool,
+    /// Whether any sample in its texels is not hidden from its plane.
+    is_open: bool,
+    /// Whether a part of it was too large to be seen as one of a lamp.
+    is_large: bool,
+}
+
+impl LampSeen {
+    /// Whether the edge of something may cut it: what hides its plane ends in one of its texels. Not where a part of it was too large: that has
+    /// shone into texels.
+    #[must_use]
+    #[inline(always)]
+    pub fn may_be_cut(&self) -> bool {
+        self.is_hidden && self.is_open && !self.is_large
+    }
+
+    /// Notes a part that shines into texels.
+    #[inline(always)]
+    pub(crate) fn note_large(&mut self) {
+        self.is_large = true;
+    }
+
+    /// Notes a texel: which of its samples something hides from the lamp's plane, and which nothing does.
+    #[inline(always)]
+    pub(crate) fn note(&mut self, hidden: u16, open: u16) {
+        self.is_hidden |= hidden != 0;
+        self.is_open |= open != 0;
+    }
+
+    /// Adds irradiance.
+    #[inline(always)]
+    pub(crate) fn add(&mut self, weight: f32, radiance: &[f32; 3]) {
+        for (sum, light) in self.irradiance.iter_mut().zip(radiance) {
+            *sum += weight * light;
+        }
+    }
+}
