@@ -7,7 +7,7 @@ use crate::receiver::{Gloss, Receiver, Shading};
 use crate::record::{Record, Tolerance};
 use crate::reflect::{LobeScratch, LobeVisitor};
 use crate::visitors::CubeVisitor;
-use crate::windows::LAMP_WINDOW_EDGE;
+use crate::windows::lamp_window;
 use pbgi_brdf::{ConvolutionTable, Differential, Differentiator, GgxLobe, convolve_diffuse};
 use pbgi_cut::{
     CutReceiver, CutScratch, CutStats, CutVisitor, KNOWN_BYTES, NodeReader, Threshold, pick_cut,
@@ -125,7 +125,7 @@ impl<'a> Gatherer<'a> {
             stakes: None,
             lamps: Lamps::new(),
             window_raster: WindowRaster::default(),
-            lamp_window: Window::scattered(LAMP_WINDOW_EDGE.ilog2()),
+            lamp_window: lamp_window(settings.raster_edge),
         }
     }
 

@@ -248,7 +248,7 @@ fn depths_along<L: Lanes>(inverse: Vec3, directions: &[[f32; SAMPLES]; 3]) -> ([
 mod tests {
     use super::*;
     use crate::lanes::Plain;
-    use crate::{Disk, Section};
+    use crate::{Disk, Section, Tile};
 
     const N: usize = 8;
 
@@ -302,6 +302,69 @@ mod tests {
             open += open_share(&raster) / 200.0;
         }
         assert!((open - 0.7).abs() < 0.01, "{open}");
+    }
+
+    /// A square of this half-width, square to the window's axis, so far along it.
+    fn square(frame: &Frame, distance: f32, aside: f32, half: f32) -> Tile {
+        let (center, edges) =
+            (frame.normal * distance + frame.tangent * aside, [frame.tangent, frame.bitangent]);
+        let (inverse, half) = (frame.normal / distance, [half; 2]);
+        Tile { inverse, center, edges, half, reach: half, ground: Vec3::ZERO, side: 0 }
+    }
+
+    #[test]
+    fn what_stands_before_a_lamp_hides_it_and_what_stands_behind_does_not() {
+        let mut window = Window::scattered(4);
+        let frame = *super::tests::window().frame();
+        window.aim(frame, [0.25, 0.5]);
+        let ink = Ink { radiance: [1.0, 2.0, 0.0], tolerance: 0.01, ..Ink::default() };
+        let mut raster = WindowRaster::default();
+        raster.clear_for_lamps(&window);
+        raster.show_lamp::<Plain, _>(&window, &square(&frame, 4.0, 0.0, 1.0), &ink);
+        // Behind the lamp, another is not seen.
+        let other = Ink { radiance: [0.0, 0.0, 9.0], ..ink };
+        raster.show_lamp::<Plain, _>(&window, &square(&frame, 5.0, 0.0, 0.5), &other);
+        raster.close_around_lamps();
+        let normals = [frame.normal, frame.normal];
+        // A square seen from its axis: 4 atan-terms of Lambert's formula.
+        let k = 0.25f32;
+        let exact = 4.0 * k / (1.0 + k * k).sqrt() * (k / (1.0 + k * k).sqrt()).atan();
+        let [all, shown] = raster.lamp_irradiance(&window, normals);
+        assert_eq!(all, shown);
+        assert!((all[0] / exact - 1.0).abs() < 0.01, "{all:?} {exact}");
+        assert!(all[1] == 2.0 * all[0] && all[2] == 0.0, "{all:?}");
+        // Neighbors on its own surface, and a wall behind it, hide nothing; a half plane before it hides half.
+        for distance in [4.5, 3.99] {
+            raster.draw::<Plain, _>(&window, &square(&frame, distance, 0.0, 5.0), &Veil::OPAQUE);
+            assert_eq!(raster.lamp_irradiance(&window, normals)[1], all);
+        }
+        raster.draw::<Plain, _>(&window, &square(&frame, 2.0, 5.0, 5.0), &Veil::OPAQUE);
+        let [_, half] = raster.lamp_irradiance(&window, normals);
+        assert!((half[0] / all[0] - 0.5).abs() < 0.005 && !raster.is_closed(), "{half:?}");
+        raster.draw::<Plain, _>(&window, &square(&frame, 1.0, 0.0, 5.0), &Veil::OPAQUE);
+        assert!(raster.is_closed() && raster.lamp_irradiance(&window, normals)[1] == [0.0; 3]);
+        // From below the receiver's own plane nothing shines.
+        assert_eq!(raster.lamp_irradiance(&window, [frame.normal, -frame.normal])[0], [0.0; 3]);
+    }
+
+    #[test]
+    fn no_two_places_of_a_scattered_window_share_a_row_or_a_column() {
+        let window = Window::scattered(4);
+        let along = |axis: Vec3| {
+            let mut all: Vec<f32> = window
+                .directions
+                .iter()
+                .flat_map(|d| (0..SAMPLES).map(|i| Vec3::from_array(d.map(|plane| plane[i]))))
+                .map(|d| d.dot(axis))
+                .collect();
+            all.sort_by(f32::total_cmp);
+            all
+        };
+        for axis in [window.frame.tangent, window.frame.bitangent] {
+            for (i, x) in along(axis).iter().enumerate() {
+                assert!((x - ((2 * i + 1) as f32 / 256.0 - 1.0)).abs() < 1e-5, "{i}: {x}");
+            }
+        }
     }
 
     #[test]
