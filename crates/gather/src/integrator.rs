@@ -150,9 +150,9 @@ impl<'a> Gatherer<'a> {
             let (stakes, gatherer) = (self.stakes()?, &mut *self);
             let kernel = CubeKernel { gatherer, place: &place, receiver, stakes };
             run_wide(kernel.gatherer.settings.simd, kernel)?;
-            self.look_at_lamps(&place)?;
             let kernel = ConvolutionKernel { gatherer: self, receiver, shading: &mut shading };
             run_wide(kernel.gatherer.settings.simd, kernel);
+            self.look_at_lamps(&place, &mut shading)?;
         }
         if self.settings.parts != GatherParts::Broad {
             self.gather_sharp(receiver, &mut shading)?;

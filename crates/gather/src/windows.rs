@@ -29,6 +29,10 @@ const LAMP_NODE_WIDTH: f32 = 0.5;
 /// fewer texels than would say how much of them shows.
 const WHOLE_LAMP_ERROR: f32 = 0.125;
 
+/// Share of all that a receiver receives from which on a lamp is worth a window. In a room of 64 lamps, direct light has an error of 2.5 % with 0, 0.05 and 0.2, in
+/// 1.5, 1.25 and 1.25 times the time it takes without windows, and of 2.8 % without.
+const LAMP_SHARE: f32 = 0.05;
+
 /// Half-width from which on a lamp has no window: 60° to either side.
 const WIDEST_WINDOW: f32 = 1.732;
 
@@ -78,48 +82,65 @@ impl Gatherer<'_> {
         Ok(())
     }
 
-    /// Puts what windows see of lamps in place of what the cube's samples do, which are few, of each lamp that an edge may cut.
-    pub(crate) fn look_at_lamps(&mut self, place: &CutReceiver) -> Result<(), StoreError> {
+    /// Puts what windows see of lamps in place of what the cube's samples do, which are few, of each lamp that an edge may cut and that matters.
+    pub(crate) fn look_at_lamps(
+        &mut self,
+        place: &CutReceiver,
+        shading: &mut Shading,
+    ) -> Result<(), StoreError> {
+        let all = sum(shading.surface_irradiance) + sum(shading.environment_irradiance);
         for number in 0..self.lamps.numbered().len() {
             let lamp = self.lamps.numbered()[number];
             if self.raster.lamps()[number].may_be_cut()
+                && sum(lamp.irradiance) > LAMP_SHARE * all
                 && let Some((frame, half_widths)) = window_around(&lamp)
                 && half_widths[0].max(half_widths[1]) < WIDEST_WINDOW
             {
                 self.lamp_window.aim(frame, half_widths);
-                self.look_at_lamp(number, &lamp, place)?;
+                if let Some(seen) = self.look_at_lamp(&lamp, place)? {
+                    let found = self.raster.lamps()[number].irradiance;
+                    for channel in 0..3 {
+                        let others = shading.surface_irradiance[channel] - found[channel];
+                        shading.surface_irradiance[channel] = others.max(0.0) + seen[channel];
+                    }
+                }
             }
         }
         Ok(())
     }
 
+    /// Irradiance from a lamp through the window around it; none if the window cannot tell.
     fn look_at_lamp(
         &mut self,
-        number: usize,
         lamp: &Lamp,
         place: &CutReceiver,
-    ) -> Result<(), StoreError> {
+    ) -> Result<Option<[f32; 3]>, StoreError> {
         let [width, height] = self.lamp_window.texel_widths();
         let user_sine = sphere_sin2_for_solid_angle(self.settings.solid_angle_sr).sqrt();
+        let texels_sine = 0.5 * LAMP_NODE_TEXELS * width.max(height);
         let kernel = WindowKernel {
             walker: &mut self.walker,
             raster: &mut self.window_raster,
             window: &self.lamp_window,
             place,
-            sine: (LAMP_NODE_WIDTH * user_sine).min(0.5 * LAMP_NODE_TEXELS * width.max(height)),
+            sine: texels_sine.min(LAMP_NODE_WIDTH * user_sine),
             lamps: Some((self.lamps.least, lamp.farthest())),
         };
         run_wide(self.settings.simd, kernel)?;
         let normals = [place.normal(), place.plane()];
         let [all, shown] = self.window_raster.lamp_irradiance(&self.lamp_window, normals);
-        let sums = [all, lamp.irradiance].map(|light| light.iter().sum::<f32>());
-        if (sums[0] - sums[1]).abs() <= WHOLE_LAMP_ERROR * sums[1] {
-            let share = |c: usize| if all[c] > 0.0 { shown[c] / all[c] } else { 0.0 };
-            let irradiance = [0, 1, 2].map(|c| lamp.irradiance[c] * share(c));
-            self.raster.set_lamp_irradiance(number, irradiance);
+        let whole = sum(lamp.irradiance);
+        if (sum(all) - whole).abs() > WHOLE_LAMP_ERROR * whole {
+            return Ok(None);
         }
-        Ok(())
+        let share = |c: usize| if all[c] > 0.0 { shown[c] / all[c] } else { 0.0 };
+        Ok(Some([0, 1, 2].map(|c| lamp.irradiance[c] * share(c))))
     }
+}
+
+/// Of all channels.
+fn sum(irradiance: [f32; 3]) -> f32 {
+    irradiance.iter().sum()
 }
 
 /// The frame and the half-widths of a window around a lamp, along an edge of its box; none where the lamp is so near that it has no window.

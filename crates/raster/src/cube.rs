@@ -522,12 +522,6 @@ impl CubeRaster {
         &self.lamps
     }
 
-    /// Puts another irradiance, W·m⁻², in place of what the samples have found of a lamp.
-    #[inline(always)]
-    pub fn set_lamp_irradiance(&mut self, lamp: usize, irradiance: [f32; 3]) {
-        self.lamps[lamp].irradiance = irradiance;
-    }
-
     /// Covers the samples that meet a shape, and counts them. Without light, texels that are covered already need not meet anything.
     #[inline(always)]
     fn cover<L: Lanes, S: Shape>(&mut self, shape: &S, ink: &Ink) -> u32 {

@@ -315,7 +315,7 @@ mod tests {
     #[test]
     fn what_stands_before_a_lamp_hides_it_and_what_stands_behind_does_not() {
         let mut window = Window::scattered(4);
-        let frame = *super::tests::window().frame();
+        let frame = *self::window().frame();
         window.aim(frame, [0.25, 0.5]);
         let ink = Ink { radiance: [1.0, 2.0, 0.0], tolerance: 0.01, ..Ink::default() };
         let mut raster = WindowRaster::default();
