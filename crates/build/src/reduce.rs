@@ -75,14 +75,14 @@ impl Candidate {
         }
         let contrast = if l + m > 0.0 { f64::from((l - m).abs() / (l + m)) } else { 0.0 };
         let roundness = (v / a.area - w / b.area).abs() * a.area.min(b.area);
-        // Of the light of both, what the lamp shines, and the sum would shine from where the other is.
+        // Share of the light of both that the lamp shines, and the sum would shine from all of the other's area, too.
         let fluxes = [f64::from(l) * a.area, f64::from(m) * b.area];
-        let lamp = if l > m { fluxes[0] } else { fluxes[1] };
-        let displaced = lamp / (fluxes[0] + fluxes[1]);
+        let (lamp, dark) = if l > m { (fluxes[0], b.area) } else { (fluxes[1], a.area) };
+        let displaced = lamp / (fluxes[0] + fluxes[1]) * dark;
         let glare = ((contrast - LAMP_CONTRAST) / (1.0 - LAMP_CONTRAST)).max(0.0);
         cancelled * (1.0 + 2.0 * contrast)
             + 0.25 * contrast * roundness
-            + glare * displaced * (a.area + b.area)
+            + glare * displaced
     }
 }
 
