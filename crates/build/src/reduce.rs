@@ -80,9 +80,7 @@ impl Candidate {
         let (lamp, dark) = if l > m { (fluxes[0], b.area) } else { (fluxes[1], a.area) };
         let displaced = lamp / (fluxes[0] + fluxes[1]) * dark;
         let glare = ((contrast - LAMP_CONTRAST) / (1.0 - LAMP_CONTRAST)).max(0.0);
-        cancelled * (1.0 + 2.0 * contrast)
-            + 0.25 * contrast * roundness
-            + glare * displaced
+        cancelled * (1.0 + 2.0 * contrast) + 0.25 * contrast * roundness + glare * displaced
     }
 }
 
