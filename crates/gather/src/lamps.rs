@@ -120,6 +120,12 @@ impl Lamps {
     }
 }
 
+/// Whether lamps of this radiance or more may lie in a node.
+#[inline(always)]
+pub(crate) fn may_hold_lamps(node: &NodeSeen, least: f32) -> bool {
+    node.brightness >= least || node.radius2 > NEAR_SIN2 * node.distance2
+}
+
 /// Nodes that may be lamps, no larger than parts of them.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LampThreshold {
@@ -141,7 +147,7 @@ impl Threshold for LampThreshold {
 
     #[inline(always)]
     fn is_wanted(&self, node: &NodeSeen) -> bool {
-        node.brightness >= self.least || node.radius2 > NEAR_SIN2 * node.distance2
+        may_hold_lamps(node, self.least)
     }
 }
 

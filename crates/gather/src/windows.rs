@@ -1,12 +1,14 @@
 //! Windows: fine rasters around lights that are small in the sky, the environment's peaks and lamps that the edge of something cuts.
 
 use crate::integrator::{Gatherer, Walker};
-use crate::lamps::Lamp;
+use crate::lamps::{Lamp, may_hold_lamps};
 use crate::light::PreparedPeak;
 use crate::primitive::{Outline, SurfelPen, draw_surfel, piece_ink, piece_shape, surfel_ink};
 use crate::receiver::{Receiver, Shading};
 use pbgi_brdf::GgxLobe;
-use pbgi_cut::{Cluster, CutReceiver, CutVisitor, Kept, NodeSeen, SurfelSeen, Threshold};
+use pbgi_cut::{
+    Cluster, CutReceiver, CutVisitor, Kept, NodeSeen, SurfelSeen, Threshold, UniformThreshold,
+};
 use pbgi_math::{Frame, Vec3, sphere_sin2_for_solid_angle};
 use pbgi_raster::{Ink, Lanes, Shape, WideKernel, Window, WindowRaster, run_wide};
 use pbgi_store::StoreError;
@@ -210,7 +212,7 @@ impl WideKernel for WindowKernel<'_, '_> {
         };
         // One walk in a loop is compiled once.
         loop {
-            let threshold = WindowThreshold { sin2_max: sine * sine, part };
+            let threshold = WindowThreshold { nodes: UniformThreshold::from_sine(sine), part };
             let (plane, lanes) = (place.plane(), PhantomData);
             let mut visitor = WindowVisitor::<L> { raster, window, part, plane, lanes };
             walker.pick(place, &threshold, &mut visitor)?;
@@ -226,20 +228,20 @@ impl WideKernel for WindowKernel<'_, '_> {
 /// Nodes no larger than a window needs them.
 #[derive(Clone, Copy, Debug)]
 struct WindowThreshold {
-    sin2_max: f32,
+    nodes: UniformThreshold,
     part: Part,
 }
 
 impl Threshold for WindowThreshold {
     #[inline(always)]
-    fn sin2_max(&self, _: &NodeSeen) -> f32 {
-        self.sin2_max
+    fn sin2_max(&self, node: &NodeSeen) -> f32 {
+        self.nodes.sin2_max(node)
     }
 
     #[inline(always)]
     fn is_wanted(&self, node: &NodeSeen) -> bool {
         match self.part {
-            Part::Lamps { least } => node.brightness >= least,
+            Part::Lamps { least } => may_hold_lamps(node, least),
             Part::Blockers { farthest } => {
                 let reach = farthest + node.radius2.sqrt();
                 node.distance2 <= reach * reach
