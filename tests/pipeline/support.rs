@@ -4,6 +4,7 @@ use pbgi_build::{
     BuildOptions, BuildReport, SortedStream, StreamError, StreamSummary, build_octree,
 };
 use pbgi_cloud::{Surfel, SurfelFlags};
+use pbgi_gather::{GatherSettings, Gatherer, Receiver, Shading};
 use pbgi_math::{DVec3, MortonCode};
 use pbgi_store::{Octree, OpenOptions};
 use std::path::Path;
@@ -57,4 +58,9 @@ pub fn bake_and_open(
     let octree =
         Octree::open(&path, &OpenOptions { readers: 2, ..OpenOptions::default() }).unwrap();
     (folder, octree)
+}
+
+/// What a receiver receives from surfels alone.
+pub fn gather(octree: &Octree, settings: &GatherSettings, receiver: Receiver) -> Shading {
+    Gatherer::new(octree.reader(), settings, None).gather(&receiver).unwrap()
 }

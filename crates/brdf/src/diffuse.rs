@@ -228,7 +228,7 @@ pub fn convolve_diffuse(
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use pbgi_raster::{Ink, Lanes, NO_LAMP, Section, SimdLevel, Veil, WideKernel, run_wide};
+    use pbgi_raster::{Ink, Lanes, Section, SimdLevel, Veil, WideKernel, run_wide};
 
     fn normals() -> impl Iterator<Item = Vec3> {
         (0..200u32).map(|i| {
@@ -268,7 +268,7 @@ pub(crate) mod tests {
 
         fn run<L: Lanes>(self) {
             let (veil, radiance) = (Veil::OPAQUE, [3.0; 3]);
-            let ink = Ink { veil, radiance, solid_angle: 1.0, tolerance: 0.01, lamp: NO_LAMP };
+            let ink = Ink { veil, radiance, solid_angle: 1.0, tolerance: 0.01, lamp: None };
             self.0.clear::<L>(self.1);
             for &(inverse, low, high) in self.2 {
                 self.0.look_at_box(low, high);

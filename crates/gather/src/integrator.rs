@@ -243,17 +243,12 @@ impl<'a> Gatherer<'a> {
     pub(crate) fn find_lamps(&mut self, place: &CutReceiver) -> Result<(), StoreError> {
         let usual = self.stakes()?.usual;
         self.lamps.clear(usual);
-        if usual == 0.0 || !self.raster.shines() {
-            return Ok(());
-        }
-        self.raster.set_lamp_radiance(self.lamps.least);
-        if !self.settings.importance.radiance {
+        if usual == 0.0 || !self.raster.shines() || !self.settings.importance.radiance {
             return Ok(());
         }
         let threshold = LampThreshold::new(&self.lamps);
         let mut visitor = LampVisitor { lamps: &mut self.lamps, normal: place.normal() };
-        self.walker.look(place, &threshold, &mut visitor)?;
-        Ok(())
+        self.walker.look(place, &threshold, &mut visitor)
     }
 
     /// What importance weighs brightness by.

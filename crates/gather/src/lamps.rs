@@ -73,7 +73,7 @@ impl Lamps {
 
     /// Forgets all lamps; surfaces are lamps where they are much brighter than `usual`.
     pub fn clear(&mut self, usual: f32) {
-        self.least = LAMP_BRIGHTNESS * usual;
+        self.least = if usual > 0.0 { LAMP_BRIGHTNESS * usual } else { f32::INFINITY };
         self.numbered.clear();
     }
 
@@ -177,7 +177,7 @@ impl CutVisitor for LampVisitor<'_> {
     fn take_cluster(&mut self, cluster: &Cluster) {
         let (bounds, toward) = ([cluster.low, cluster.high], (cluster.low + cluster.high) * 0.5);
         for piece in cluster.pieces() {
-            if largest(piece.radiance) >= self.lamps.least {
+            if is_lamp(piece.radiance, self.lamps.least) {
                 self.add(bounds, toward, piece.solid_angle, piece.radiance);
             }
         }
@@ -187,7 +187,7 @@ impl CutVisitor for LampVisitor<'_> {
     fn take_surfel(&mut self, seen: &SurfelSeen<'_>) {
         let surfel = seen.surfel;
         let is_seen = surfel.isotropic || surfel.normal.dot(seen.center) < 0.0;
-        if is_seen && largest(surfel.radiance) >= self.lamps.least {
+        if is_seen && is_lamp(surfel.radiance, self.lamps.least) {
             self.add(seen.bounds(), seen.center, surfel_solid_angle(seen), surfel.radiance);
         }
     }
@@ -198,6 +198,13 @@ impl CutVisitor for LampVisitor<'_> {
     }
 }
 
+/// Whether what has this radiance is a lamp, where lamps have at least so much of it.
+#[inline(always)]
+pub(crate) fn is_lamp(radiance: [f32; 3], least: f32) -> bool {
+    largest(radiance) >= least
+}
+
+#[inline(always)]
 fn largest(radiance: [f32; 3]) -> f32 {
     radiance[0].max(radiance[1]).max(radiance[2])
 }
@@ -225,6 +232,12 @@ mod tests {
         assert_eq!(lamps.number_at(Vec3::new(1.8, 5.0, 0.5)), 0);
         assert_eq!(lamps.number_at(Vec3::new(9.9, 5.0, 0.1)), 1);
         assert_eq!(lamps.number_at(Vec3::new(6.0, 5.0, 0.5)), NO_LAMP);
+        // The small one is too far from the first, but what it makes of the second is not.
+        lamps.clear(1.0);
+        for (x, size) in [(0.0, 1.0), (1.55, 1.0), (1.3, 0.2)] {
+            lamps.add(&part(x, size, 1.0));
+        }
+        assert!(matches!(lamps.numbered(), [whole] if whole.irradiance == [3.0; 3]));
         lamps.clear(2.0);
         assert!(lamps.numbered().is_empty() && lamps.least == 2.0 * LAMP_BRIGHTNESS);
     }

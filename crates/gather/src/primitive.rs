@@ -5,7 +5,7 @@ use pbgi_cut::{
     TRIANGLE_RIM,
 };
 use pbgi_math::{Vec3, patch_solid_angle_factor};
-use pbgi_raster::{Disk, Ink, NO_LAMP, Place, Section, Shape, Tile, Triangle, Veil};
+use pbgi_raster::{Disk, Ink, Place, Section, Shape, Tile, Triangle, Veil};
 use std::f32::consts::FRAC_1_PI;
 
 /// Disks that lie along the receiver's own surface are not hit nearer than this many radii: the
@@ -196,7 +196,7 @@ pub(crate) fn surfel_ink(seen: &SurfelSeen<'_>, outline: &Outline) -> Ink {
         solid_angle: surfel_solid_angle(seen),
         radiance: if cosine > 0.0 { surfel.radiance } else { [0.0; 3] },
         tolerance: neighbor_tolerance(SURFEL_DEPTH, extent / distance, cosine.abs()),
-        lamp: NO_LAMP,
+        lamp: None,
     }
 }
 
@@ -204,7 +204,7 @@ pub(crate) fn surfel_ink(seen: &SurfelSeen<'_>, outline: &Outline) -> Ink {
 #[inline(always)]
 pub(crate) fn piece_ink(cluster: &Cluster, piece: &Piece, veil: Veil) -> Ink {
     let Piece { solid_angle, radiance, .. } = *piece;
-    Ink { veil, solid_angle, radiance, tolerance: piece_tolerance(cluster, piece), lamp: NO_LAMP }
+    Ink { veil, solid_angle, radiance, tolerance: piece_tolerance(cluster, piece), lamp: None }
 }
 
 /// Where a piece of a cluster lies, and which share of it is there.

@@ -1,6 +1,6 @@
 //! The cut, drawn into the cube.
 
-use crate::lamps::Lamps;
+use crate::lamps::{Lamps, is_lamp};
 use crate::primitive::{Outline, SurfelPen, draw_surfel, piece_ink, piece_shape, surfel_ink};
 use pbgi_cut::{Boxes, Cluster, CutVisitor, Kept, NOTHING_KEPT, SurfelSeen};
 use pbgi_format::CHILDREN_MAX;
@@ -24,8 +24,8 @@ impl<L: Lanes> CubeVisitor<'_, L> {
     /// Draws a shape whose middle is `toward`.
     #[inline(always)]
     fn put<S: Shape>(&mut self, shape: &S, mut ink: Ink, toward: Vec3) {
-        if self.raster.is_lamp(&ink) {
-            ink.lamp = self.lamps.number_at(toward);
+        if is_lamp(ink.radiance, self.lamps.least) {
+            ink.lamp = Some(self.lamps.number_at(toward));
         }
         self.raster.draw::<L, S>(shape, &ink, toward);
     }

@@ -1,7 +1,7 @@
 //! Windows: fine rasters around lights that are small in the sky, the environment's peaks and lamps that the edge of something cuts.
 
 use crate::integrator::{Gatherer, Walker};
-use crate::lamps::{Lamp, may_hold_lamps};
+use crate::lamps::{Lamp, is_lamp, may_hold_lamps};
 use crate::light::PreparedPeak;
 use crate::primitive::{Outline, SurfelPen, draw_surfel, piece_ink, piece_shape, surfel_ink};
 use crate::receiver::{Receiver, Shading};
@@ -265,8 +265,7 @@ impl<L: Lanes> WindowVisitor<'_, L> {
         match self.part {
             Part::Blockers { .. } => self.raster.draw::<L, S>(self.window, shape, &ink.veil),
             Part::Lamps { least } => {
-                let [r, g, b] = ink.radiance;
-                if r >= least || g >= least || b >= least {
+                if is_lamp(ink.radiance, least) {
                     self.raster.show_lamp::<L, S>(self.window, shape, ink);
                 }
             }

@@ -31,8 +31,8 @@ pub struct Ink {
     pub radiance: [f32; 3],
     /// Surfaces nearer by no more than this share of the distance are its own neighbors, and do not hide it.
     pub tolerance: f32,
-    /// Number of the lamp it is a part of, below [`LAMPS`]; of no meaning if it is none.
-    pub lamp: u8,
+    /// Number of the lamp it is a part of, below [`LAMPS`]; none if it is no lamp. Lamps keep their flux whatever the texels' size.
+    pub lamp: Option<u8>,
 }
 
 /// What eight texels of a row hold when all is drawn.
@@ -161,7 +161,6 @@ pub struct CubeRaster {
     stride: usize,
     shines: bool,
     keeps_depths: bool,
-    lamp_radiance: f32,
     lamps: [LampSeen; LAMPS],
     /// Samples of each texel that lamps cover.
     of_lamps: Vec<u16>,
@@ -210,7 +209,6 @@ impl CubeRaster {
             stride,
             shines,
             keeps_depths: shines,
-            lamp_radiance: f32::INFINITY,
             lamps: [LampSeen::default(); LAMPS],
             of_lamps: vec![0; if shines { 6 * n * stride } else { 0 }],
             normal: Vec3::Z,
@@ -236,11 +234,6 @@ impl CubeRaster {
                 .collect(),
             hits: Vec::with_capacity(64),
         }
-    }
-
-    /// From this radiance of the brightest channel on, W·m⁻²·sr⁻¹, pieces are lamps, which keep their flux; none are unless this is called.
-    pub fn set_lamp_radiance(&mut self, least: f32) {
-        self.lamp_radiance = least;
     }
 
     /// Keeps how far away what covers samples is, also where nothing shines, for [`Self::nearest`].
@@ -428,8 +421,10 @@ impl CubeRaster {
         if !self.shines {
             return;
         }
-        if ink.solid_angle >= LARGE_LAMP_SR && self.is_lamp(ink) {
-            self.lamps[usize::from(ink.lamp)].note_large();
+        if let Some(lamp) = ink.lamp
+            && ink.solid_angle >= LARGE_LAMP_SR
+        {
+            self.lamps[usize::from(lamp)].note_large();
         }
         for number in 0..self.hits.len() {
             let hit = self.hits[number];
@@ -446,10 +441,11 @@ impl CubeRaster {
         let (index, place) = (hit.index as usize, [hit.face, hit.row, hit.column]);
         let above = self.above[index];
         let count = hit.visible.count_ones();
-        let is_lamp = self.is_lamp(ink) && ink.solid_angle < LARGE_LAMP_SR;
         let per_sample = ink.solid_angle * self.inverse_solid_angles[index] / met as f32;
         let by_solid_angle = count as f32 * per_sample * SAMPLES as f32;
-        if is_lamp {
+        if let Some(lamp) = ink.lamp
+            && ink.solid_angle < LARGE_LAMP_SR
+        {
             let solid_angle = ink.solid_angle * count as f32 / met as f32;
             // Where it met samples of one texel only, their places say less of it than its own.
             let cosine = if count == met && toward != Vec3::ZERO {
@@ -457,7 +453,7 @@ impl CubeRaster {
             } else {
                 self.cosine_in(hit, offset_sum(hit.visible).map(|sum| sum / count as f32))
             };
-            self.shine_lamp((index, place), solid_angle, cosine, ink);
+            self.shine_lamp((index, place), lamp, solid_angle, cosine, &ink.radiance);
             return;
         }
         let light = self.light(index, place);
@@ -476,11 +472,12 @@ impl CubeRaster {
     fn shine_lamp(
         &mut self,
         (index, place): (usize, [u8; 3]),
+        lamp: u8,
         solid_angle: f32,
         cosine: f32,
-        Ink { radiance, lamp, .. }: &Ink,
+        radiance: &[f32; 3],
     ) {
-        self.lamps[usize::from(*lamp)].add(solid_angle * larger(cosine, 0.0), radiance);
+        self.lamps[usize::from(lamp)].add(solid_angle * larger(cosine, 0.0), radiance);
         let texel = self.inverse_solid_angles[index] * SAMPLES as f32 / divisor(self.above[index]);
         self.light(index, place).add_lamp(solid_angle * texel, radiance);
     }
@@ -492,14 +489,6 @@ impl CubeRaster {
             .map(|(i, place)| self.corner(usize::from(i)) + (0.5 * place + 0.5) * self.step);
         let direction = CubeFace(hit.face).direction(u, v);
         self.normal.dot(direction) / direction.length()
-    }
-
-    /// Whether a piece is so bright that it is a lamp.
-    #[must_use]
-    #[inline(always)]
-    pub fn is_lamp(&self, ink: &Ink) -> bool {
-        let [r, g, b] = ink.radiance;
-        r >= self.lamp_radiance || g >= self.lamp_radiance || b >= self.lamp_radiance
     }
 
     /// Irradiance from lamps, W·m⁻².
@@ -525,7 +514,6 @@ impl CubeRaster {
     /// Covers the samples that meet a shape, and counts them. Without light, texels that are covered already need not meet anything.
     #[inline(always)]
     fn cover<L: Lanes, S: Shape>(&mut self, shape: &S, ink: &Ink) -> u32 {
-        let lamp = self.is_lamp(ink).then_some(usize::from(ink.lamp));
         let Self { n, stride, shines, keeps_depths, covered, above, rims, depths, .. } = self;
         let Self { open, rows, looked_at, directions: [across, along], hits, .. } = self;
         let Self { lamps, of_lamps, .. } = self;
@@ -561,9 +549,9 @@ impl CubeRaster {
                 if shines {
                     let hidden = before & L::bits(w.mul(nearer).le(L::load(depths)));
                     let visible = met & above[index] & !hidden;
-                    if let Some(lamp) = lamp {
+                    if let Some(lamp) = ink.lamp {
                         let there = above[index] & !own_plane::<L>(before, depths);
-                        lamps[lamp].note(there & hidden & !of_lamps[index], there & !hidden);
+                        lamps[usize::from(lamp)].note(there, hidden, of_lamps[index]);
                         of_lamps[index] |= visible & !before;
                     }
                     if visible | new != 0 {
@@ -608,20 +596,18 @@ impl CubeRaster {
         let w = inverse_depths(inverse, L::load(&across[column]), L::load(&along[row]));
         let (nearer, depths) = (L::splat(1.0 + ink.tolerance), &self.depths[index]);
         let hidden = self.covered[index] & L::bits(w.mul(nearer).le(L::load(depths)));
-        let is_lamp = self.is_lamp(ink);
-        if is_lamp {
+        if let Some(lamp) = ink.lamp {
             let there = above & !own_plane::<L>(self.covered[index], depths);
-            let hidden_by_others = there & hidden & !self.of_lamps[index];
-            self.lamps[usize::from(ink.lamp)].note(hidden_by_others, there & !hidden);
+            self.lamps[usize::from(lamp)].note(there, hidden, self.of_lamps[index]);
         }
         if hidden >> sample & 1 != 0 {
             return;
         }
         let place_in_texel = place_in_texel.map(|x| 2.0 * x - 1.0);
         let place = [face.0, row as u8, column as u8];
-        if is_lamp {
+        if let Some(lamp) = ink.lamp {
             let cosine = self.normal.dot(toward) / toward.length();
-            self.shine_lamp((index, place), ink.solid_angle, cosine, ink);
+            self.shine_lamp((index, place), lamp, ink.solid_angle, cosine, &ink.radiance);
             return;
         }
         let whole = self.inverse_solid_angles[index] * SAMPLES as f32 / above.count_ones() as f32;

@@ -34,11 +34,11 @@ impl LampSeen {
         self.is_large = true;
     }
 
-    /// Notes a texel: which of its samples something hides from the lamp's plane, and which nothing does.
+    /// Notes a texel by its samples: those above the horizon, those that something hides from the lamp's plane, and those that lamps cover.
     #[inline(always)]
-    pub(crate) fn note(&mut self, hidden: u16, open: u16) {
-        self.is_hidden |= hidden != 0;
-        self.is_open |= open != 0;
+    pub(crate) fn note(&mut self, above: u16, hidden: u16, of_lamps: u16) {
+        self.is_hidden |= above & hidden & !of_lamps != 0;
+        self.is_open |= above & !hidden != 0;
     }
 
     /// Adds irradiance.

@@ -12,7 +12,6 @@ use pbgi_math::{Frame, Vec3, larger};
 /// middle, or a place in it.
 #[derive(Clone, Debug)]
 pub struct Window {
-    n: usize,
     frame: Frame,
     half_widths: [f32; 2],
     /// Places along x of a texel in each row, and along y of one in each column, 0 to 1.
@@ -46,7 +45,7 @@ impl Window {
             used[index / SAMPLES] |= 1 << (index % SAMPLES);
         }
         let directions = vec![[[0.0; SAMPLES]; 3]; groups];
-        let mut window = Self { n, frame, half_widths: [half_width; 2], places, directions, used };
+        let mut window = Self { frame, half_widths: [half_width; 2], places, directions, used };
         window.aim(frame, [half_width; 2]);
         window
     }
@@ -54,7 +53,7 @@ impl Window {
     /// Turns the window to another direction and makes it so wide along its tangent and bitangent.
     pub fn aim(&mut self, frame: Frame, half_widths: [f32; 2]) {
         (self.frame, self.half_widths) = (frame, half_widths);
-        let n = self.n;
+        let n = self.places.len();
         let at =
             |i: usize, place: f32, half: f32| (2.0 * (i as f32 + place) / n as f32 - 1.0) * half;
         for row in 0..n {
@@ -82,7 +81,7 @@ impl Window {
     #[must_use]
     #[inline(always)]
     pub fn texel_widths(&self) -> [f32; 2] {
-        self.half_widths.map(|half| 2.0 * half / self.n as f32)
+        self.half_widths.map(|half| 2.0 * half / self.places.len() as f32)
     }
 
     /// Whether the box `low..=high`, relative to the receiver, may reach into the window. Conservative.

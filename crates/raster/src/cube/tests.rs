@@ -8,13 +8,7 @@ use pbgi_math::Aabb;
 use std::f32::consts::PI;
 
 fn ink(solid_angle: f32, light: f32) -> Ink {
-    Ink {
-        veil: Veil::OPAQUE,
-        solid_angle,
-        radiance: [light; 3],
-        tolerance: 0.01,
-        lamp: crate::NO_LAMP,
-    }
+    Ink { veil: Veil::OPAQUE, solid_angle, radiance: [light; 3], tolerance: 0.01, lamp: None }
 }
 
 /// Draws the part of the plane through `point` with `normal` in a box.

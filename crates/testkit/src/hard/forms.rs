@@ -20,8 +20,8 @@ pub fn polygon_share(corners: &[DVec3], position: DVec3, normal: DVec3) -> f64 {
     (0..corners.len()).map(edge).sum::<f64>().abs() / TAU
 }
 
-/// What of a polygon is above the horizon, relative to the receiver (Sutherland and Hodgman 1974).
-fn above_horizon(corners: &[DVec3], position: DVec3, normal: DVec3) -> Vec<DVec3> {
+/// What of a polygon is above the horizon of a place, relative to it (Sutherland and Hodgman 1974).
+pub fn above_horizon(corners: &[DVec3], position: DVec3, normal: DVec3) -> Vec<DVec3> {
     let mut out = Vec::with_capacity(corners.len() + 2);
     for (i, corner) in corners.iter().enumerate() {
         let (a, b) = (*corner - position, corners[(i + 1) % corners.len()] - position);

@@ -16,7 +16,8 @@ mod sparse;
 use pbgi_cloud::Surfel;
 use pbgi_math::{DVec3, Vec3};
 
-pub use shapes::Chance;
+pub use forms::{above_horizon, polygon_share};
+pub use shapes::{Chance, sheet};
 
 /// What surfels a scene has, and how they are handed over.
 #[derive(Clone, Debug)]
