@@ -1,7 +1,8 @@
 //! How what a diffuse receiver gathers changes when it moves and turns, from one raster.
 
 use crate::diffuse::EnvironmentTexels;
-use pbgi_math::{CubeFace, CubeTexel, Vec3, larger};
+use crate::obstacles::Obstacles;
+use pbgi_math::{CubeFace, CubeTexel, Frame, Vec3, larger};
 use pbgi_raster::{CubeRaster, CubeRasterTable, LANES, Lanes};
 use std::f32::consts::PI;
 
@@ -18,8 +19,12 @@ pub const OCCLUSION: usize = 6;
 /// Index of sky visibility.
 pub const SKY: usize = 7;
 
-/// Share of what is around that comes nearer when a receiver moves any way: what lies behind it recedes.
-const APPROACHED: f32 = 0.5;
+/// Share of what things hide that counts as if it changed by itself when the receiver moves by their distance: what lies behind them may be seen then, though
+/// no border tells of it. With it a street gathers for 28.0 % of its receivers with 1.65 % of error from interpolation; with half of it for 27.2 % with 2.0 %.
+const UNSEEN: f32 = 0.1;
+
+/// Sine of the elevation below which texels are asked what stands on the receiver's plane: that of [`Obstacles::SLOPES`], and a texel.
+const STANDING_SINE: f32 = 0.5;
 
 /// Share of the distance to a thing at which it is near enough for anything: what looms is not followed farther.
 const NEARNESS_MIN: f32 = 0.05;
@@ -36,6 +41,15 @@ struct Border {
     cosines: [f32; 2],
 }
 
+impl Border {
+    /// The larger inverse distance of what is in the two texels, by their inverse depths.
+    #[inline(always)]
+    fn inverse_distance(&self, depths: &[f32]) -> f32 {
+        let [a, b] = self.texels.map(|index| depths[index as usize]);
+        larger(a * self.cosines[0], b * self.cosines[1])
+    }
+}
+
 /// Change of what is gathered by a receiver, to the first order.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Differential {
@@ -43,9 +57,11 @@ pub struct Differential {
     pub translation: [Vec3; QUANTITIES],
     /// By what the components of the unit normal change.
     pub rotation: [Vec3; QUANTITIES],
-    /// Sum of what all borders change, per unit of length, as if each changed it for the better: of ambient occlusion, and of the sum of all
-    /// irradiance.
+    /// Sum of what all borders change, per unit of length, as if each changed it for the better, and of a share of what things hide: of ambient occlusion,
+    /// and of the sum of all irradiance.
     pub slope_sums: [f32; 2],
+    /// What stands on the receiver's plane.
+    pub obstacles: Obstacles,
 }
 
 /// Eight texels.
@@ -72,27 +88,51 @@ impl Texels {
         }
         found
     }
-
-    /// Cosines to a normal.
-    #[inline(always)]
-    fn along(&self, normal: Vec3) -> [f32; LANES] {
-        let [x, y, z] = &self.directions;
-        let mut cosines = [0.0; LANES];
-        for lane in 0..LANES {
-            cosines[lane] = x[lane] * normal.x + y[lane] * normal.y + z[lane] * normal.z;
-        }
-        cosines
-    }
 }
 
-/// What hides in eight texels, and how it grows as the receiver comes nearer; 0 where there is nothing.
+/// Eight borders that loom.
 #[derive(Clone, Copy, Debug, Default)]
-struct Looming {
-    /// Of the hemisphere, weighted by cosine, what it hides; and the irradiance it would replace or bring.
-    weights: [[f32; LANES]; 2],
+struct EightLooming {
+    /// What changes across each, of openness times π and of the sum of all light, times what of the hemisphere, weighted by cosine, lies below it.
+    changes: [[f32; LANES]; 2],
+    /// Inverse distance along the receiver's plane.
     inverse_distance: [f32; LANES],
-    /// Square of the tangent of its elevation over the receiver's plane.
+    /// Square of the tangent of the elevation over the plane.
     tan2: [f32; LANES],
+}
+
+/// Borders that loom.
+#[derive(Clone, Debug, Default)]
+struct Looming {
+    eights: Vec<EightLooming>,
+    count: usize,
+}
+
+impl Looming {
+    #[inline(always)]
+    fn clear(&mut self) {
+        self.eights.clear();
+        self.count = 0;
+    }
+
+    /// Adds a border at this sine of elevation, so many radians wide as seen from below, at an inverse distance.
+    #[inline(always)]
+    fn push(&mut self, sine: f32, rise: f32, inverse_distance: f32, changes: [f32; 2]) {
+        let lane = self.count % LANES;
+        if lane == 0 {
+            self.eights.push(EightLooming::default());
+        }
+        let eight = &mut self.eights[self.count / LANES];
+        self.count += 1;
+        let cosine2 = larger(1.0 - sine * sine, 1e-6);
+        eight.tan2[lane] = sine * sine / cosine2;
+        eight.inverse_distance[lane] = inverse_distance / cosine2.sqrt();
+        // As wide in azimuth as the border's part along the horizon over the cosine of its elevation; below it lies half of sin² of that.
+        let below = 0.5 * rise * eight.tan2[lane];
+        for (of_all, change) in eight.changes.iter_mut().zip(changes) {
+            of_all[lane] = change * below;
+        }
+    }
 }
 
 /// A sum of vectors, for each quantity.
@@ -132,7 +172,11 @@ pub struct Differentiator {
     /// What each texel adds to each quantity per projected solid angle, and the inverse depth of the nearest thing in it: of one raster.
     values: Vec<[f32; QUANTITIES]>,
     nearest: Vec<f32>,
-    looming: Vec<Looming>,
+    /// The same where a texel is open in part: where what is in it ends.
+    outlines: Vec<f32>,
+    /// Tangent of half the width of a texel.
+    half_width: f32,
+    looming: Looming,
 }
 
 impl Differentiator {
@@ -151,7 +195,9 @@ impl Differentiator {
             sky_sum_sr: sky.map(|t| t.solid_angle_sr).sum(),
             values: vec![[0.0; QUANTITIES]; count],
             nearest: vec![0.0; count],
-            looming: Vec::with_capacity(count / LANES),
+            outlines: vec![0.0; count],
+            half_width: 1.0 / n as f32,
+            looming: Looming::default(),
         }
     }
 
@@ -169,16 +215,20 @@ impl Differentiator {
         environment: Option<&EnvironmentTexels>,
         [normal, plane]: [Vec3; 2],
     ) -> Differential {
+        let mut found = Differential::default();
         let mut rotation = VectorSums::default();
-        self.read::<L>(raster, environment, [normal, plane], &mut rotation);
+        self.read::<L>(raster, environment, [normal, plane], &mut found, &mut rotation);
         let (mut translation, mut sky) = (VectorSums::default(), Vec3::ZERO);
-        let mut slope_sums = [0.0; 2];
+        self.looming.clear();
         for border in &self.borders {
             let [a, b] = border.texels.map(|index| index as usize);
-            let near =
-                larger(self.nearest[a] * border.cosines[0], self.nearest[b] * border.cosines[1]);
-            let cosine = border.middle.dot(normal);
-            if near == 0.0 || cosine <= 0.0 || border.middle.dot(plane) <= 0.0 {
+            let of_outlines = border.inverse_distance(&self.outlines);
+            let near = match of_outlines > 0.0 {
+                true => of_outlines,
+                false => border.inverse_distance(&self.nearest),
+            };
+            let (cosine, sine) = (border.middle.dot(normal), border.middle.dot(plane));
+            if near == 0.0 || cosine <= 0.0 || sine <= 0.0 {
                 continue;
             }
             let across = border.across * near;
@@ -191,58 +241,67 @@ impl Differentiator {
             if border.middle.dot(self.up) > 0.0 {
                 sky += across * change[SKY];
             }
+            let changes = [change[OCCLUSION].abs(), sum_of_light(&change).abs()];
+            if changes == [0.0; 2] {
+                continue;
+            }
             let length = weighted.length();
-            slope_sums[0] += change[OCCLUSION].abs() * length;
-            slope_sums[1] += sum_of_light(&change).abs() * length;
+            for (sum, change) in found.slope_sums.iter_mut().zip(changes) {
+                *sum += change * length;
+            }
+            self.looming.push(sine, border.across.dot(plane).abs(), near, changes);
         }
-        let (mut translation, mut rotation) = (translation.vectors(), rotation.vectors());
-        translation[OCCLUSION] /= PI;
-        rotation[OCCLUSION] /= PI;
-        slope_sums[0] /= PI;
-        translation[SKY] = sky / self.sky_sum_sr;
+        (found.translation, found.rotation) = (translation.vectors(), rotation.vectors());
+        found.translation[OCCLUSION] /= PI;
+        found.rotation[OCCLUSION] /= PI;
+        found.slope_sums[0] /= PI;
+        found.translation[SKY] = sky / self.sky_sum_sr;
         // Turning the receiver turns no sky.
-        rotation[SKY] = Vec3::ZERO;
-        Differential { translation, rotation, slope_sums }
+        found.rotation[SKY] = Vec3::ZERO;
+        found
     }
 
-    /// What extrapolation to a distance may be wrong by as things there loom: of ambient occlusion, and of irradiance where there is `mean` irradiance.
+    /// What extrapolation to a distance may be wrong by as things there loom: of ambient occlusion, and of the sum of all irradiance.
+    ///
+    /// The border of a thing at the horizontal distance *d*, whose elevation θ has the squared tangent *T*, hides sin²θ = *T*/(1 + *T*) of its side. Nearer by
+    /// *t* it hides *T*/(*T* + (1 − *t*/*d*)²); what that is more than the first order tells is summed over all borders, times what changes across each.
     #[inline(always)]
     #[must_use]
-    pub fn looming(&self, distance: f32, mean: f32) -> [f32; 2] {
+    pub fn looming(&self, distance: f32) -> [f32; 2] {
         let mut sums = [[0.0; LANES]; 2];
-        for things in &self.looming {
+        for eight in &self.looming.eights {
             for lane in 0..LANES {
-                let nearness = larger(1.0 - distance * things.inverse_distance[lane], NEARNESS_MIN);
-                let (tan2, [hidden, light]) = (things.tan2[lane], things.weights);
+                let nearness = larger(1.0 - distance * eight.inverse_distance[lane], NEARNESS_MIN);
+                let tan2 = eight.tan2[lane];
                 let start = tan2 + 1.0;
                 let grown = start / (tan2 + nearness * nearness);
                 let more = larger(grown - 1.0 - 2.0 * (1.0 - nearness) / start, 0.0);
-                sums[0][lane] += hidden[lane] * more;
-                sums[1][lane] += larger(light[lane], hidden[lane] * mean) * more;
+                for (sums, changes) in sums.iter_mut().zip(&eight.changes) {
+                    sums[lane] += changes[lane] * more;
+                }
             }
         }
         let [openness, light] = &sums;
-        [APPROACHED * openness.iter().sum::<f32>(), APPROACHED * light.iter().sum::<f32>()]
+        [openness.iter().sum::<f32>() / PI, light.iter().sum()]
     }
 
-    /// Reads a raster's texels, and sums how they turn.
+    /// Reads a raster's texels: how they turn, what they hide, and what stands around.
     #[inline(always)]
     fn read<L: Lanes>(
         &mut self,
         raster: &CubeRaster,
         environment: Option<&EnvironmentTexels>,
         [normal, plane]: [Vec3; 2],
+        found: &mut Differential,
         rotation: &mut VectorSums,
     ) {
+        let frame = Frame::from_normal(plane);
         self.values.fill([0.0; QUANTITIES]);
         self.nearest.fill(0.0);
-        self.looming.clear();
+        self.outlines.fill(0.0);
         for number in 0..self.values.len() / LANES {
             let Some(chunk) = raster.chunk(number) else { continue };
             let texels = &self.texels[number];
-            // What is hidden of each texel above the horizon, and how bright it is.
-            let (mut hidden, mut brightness) = ([0.0; LANES], [0.0; LANES]);
-            let mut nearest = [0.0; LANES];
             for lane in 0..LANES {
                 let index = number * LANES + lane;
                 let above = raster.share_above(index);
@@ -265,23 +324,23 @@ impl Differentiator {
                 (values[OCCLUSION], values[SKY]) = (open, open);
                 let [x, y, z] = &texels.directions;
                 let direction = Vec3::new(x[lane], y[lane], z[lane]);
-                rotation.add(direction * (texels.lengths[lane] * above), values);
-                nearest[lane] = raster.nearest::<L>(index);
-                self.nearest[index] = nearest[lane];
-                let is_thing = if nearest[lane] > 0.0 { above } else { 0.0 };
-                (hidden[lane], brightness[lane]) = (is_thing * (1.0 - open), sum_of_light(values));
+                let weight = texels.lengths[lane] * above;
+                rotation.add(direction * weight, values);
+                let nearest = raster.nearest::<L>(index);
+                if nearest == 0.0 {
+                    continue;
+                }
+                self.nearest[index] = nearest;
+                self.outlines[index] = if open > 0.0 { nearest } else { 0.0 };
+                let hidden = larger(direction.dot(normal), 0.0) * weight * (1.0 - open);
+                let unseen = UNSEEN * hidden * nearest * texels.axial[lane];
+                found.slope_sums[0] += unseen;
+                found.slope_sums[1] += unseen * sum_of_light(values);
+                if direction.dot(plane) < STANDING_SINE {
+                    let inverse = raster.standing::<L>(index, plane, Obstacles::SLOPES);
+                    found.obstacles.add(&frame, direction, self.half_width, inverse);
+                }
             }
-            let (cosines, sines) = (texels.along(normal), texels.along(plane));
-            let mut looming = Looming::default();
-            for lane in 0..LANES {
-                let hidden = larger(cosines[lane], 0.0) * texels.lengths[lane] * hidden[lane];
-                looming.weights[0][lane] = hidden / PI;
-                looming.weights[1][lane] = hidden * brightness[lane];
-                looming.inverse_distance[lane] = nearest[lane] * texels.axial[lane];
-                let sine2 = sines[lane] * sines[lane];
-                looming.tan2[lane] = sine2 / larger(1.0 - sine2, 1e-6);
-            }
-            self.looming.push(looming);
         }
     }
 }
@@ -413,9 +472,9 @@ mod tests {
         let hidden = |h: f32| 0.5 * (1.0 - 1.0 / (1.0 + h * h).sqrt());
         let slope = 0.5 * height * height / (1.0 + height * height).powf(1.5);
         let truth = hidden(2.0 * height) - hidden(height) - 0.5 * slope;
-        let found = differentiator.looming(0.5, 0.0)[0];
-        // Half of what is around is taken to come nearer, and what is beside comes less near: a bound within a factor.
-        assert!(found > 0.3 * truth && found < 2.0 * truth, "{found} {truth}");
-        assert_eq!(differentiator.looming(0.0, 0.0)[0], 0.0);
+        let found = differentiator.looming(0.5)[0];
+        // All that is around is taken to come nearer, and what is beside comes less near: a bound within a factor.
+        assert!(found > 0.6 * truth && found < 4.0 * truth, "{found} {truth}");
+        assert_eq!(differentiator.looming(0.0)[0], 0.0);
     }
 }

@@ -8,8 +8,10 @@ mod differential;
 mod diffuse;
 mod ggx;
 mod material;
+mod obstacles;
 
 pub use differential::{Differential, Differentiator, LIGHT, OCCLUSION, QUANTITIES, SKY};
 pub use diffuse::{ConvolutionTable, Diffuse, EnvironmentTexels, convolve_diffuse};
 pub use ggx::{GgxLobe, LobeDirections, LobePattern};
 pub use material::Material;
+pub use obstacles::Obstacles;

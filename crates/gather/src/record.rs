@@ -2,7 +2,7 @@
 //! Clear 1988; Ward and Heckbert 1992).
 
 use crate::receiver::{Receiver, Shading};
-use pbgi_brdf::{Differential, Differentiator, LIGHT, OCCLUSION, QUANTITIES, SKY};
+use pbgi_brdf::{Differential, Differentiator, LIGHT, OCCLUSION, Obstacles, QUANTITIES, SKY};
 use pbgi_math::Vec3;
 
 /// Error of an extrapolation over what all borders between texels would change if each changed it for the better.
@@ -18,6 +18,14 @@ const FIRST_ORDER_MAX: f32 = 0.7;
 /// Slope of the way from a record to a receiver, over the mean of their planes, at which they are not on one surface: what is below a record's horizon
 /// it does not see, be it a roof's record and all that is beside the house. Half of it gathers more on rough ground; twice lets curbs through.
 const STEP_SLOPE: f32 = 0.05;
+
+/// Share of the tolerance that things which loom may change at a record's reach, all of them together. With it a street gathers for 28.0 % of its receivers with
+/// 1.65 % of error from interpolation; with two thirds of it for 28.7 % with 1.5 %, with four thirds for 27.5 % with 1.7 %.
+const LOOMING_MAX: f32 = 0.3;
+
+/// Share of the way to what stands on a record's plane up to which the record serves: beyond is another room, or the inside of a thing. With 1 the apartment
+/// has 2.9 % of error from interpolation instead of 2.4 %; 0.6 and 0.8 are alike.
+const NEAREST_APPROACH: f32 = 0.8;
 
 /// Mismatch over the tolerance up to which two records agree however near they are: it is the raster's and the cut's own. Half of it lets records reach
 /// half as far where cuts change; twice lets what no raster saw be twice as wrong.
@@ -84,6 +92,7 @@ pub struct Record {
     rise: f32,
     /// 1 over the square of the angle at which it is.
     inverse_turn2: f32,
+    obstacles: Obstacles,
 }
 
 impl Record {
@@ -103,12 +112,12 @@ impl Record {
         };
         let rise = rise(0).min(rise(1));
         let mut reach = rise / COHERENCE.max(tolerance.share / FIRST_ORDER_MAX);
-        let light = light(&values);
         for _ in 0..REACH_STEPS {
             let Some(differentiator) = differentiator else { break };
-            let errors = differentiator.looming(reach, light);
-            let excess =
-                |i: usize| errors[i] / (tolerance.share * scales[i]).max(f32::MIN_POSITIVE);
+            let errors = differentiator.looming(reach);
+            let excess = |i: usize| {
+                errors[i] / (LOOMING_MAX * tolerance.share * scales[i]).max(f32::MIN_POSITIVE)
+            };
             let excess = excess(0).max(excess(1));
             if excess <= 1.0 {
                 break;
@@ -129,6 +138,7 @@ impl Record {
             rise,
             // Turning by φ is wrong by the light of the lune that rises over the horizon: φ²/4 of what a hemisphere of it would give.
             inverse_turn2: 1.0 / (4.0 * tolerance.share),
+            obstacles: differential.obstacles,
         }
     }
 
@@ -164,7 +174,10 @@ impl Record {
         let turn = turned.max(self.plane.distance_squared(plane)) * self.inverse_turn2;
         let height = offset.dot(0.5 * (self.plane + plane)).abs();
         let step = height / (STEP_SLOPE * offset.length() + f32::MIN_POSITIVE);
-        distance + turn + height / self.rise + step
+        let error = distance + turn + height / self.rise + step;
+        let is_behind =
+            error < 1.0 && self.obstacles.are_reached(self.plane, offset, NEAREST_APPROACH);
+        if is_behind { f32::INFINITY } else { error }
     }
 
     /// What a place gathers, extrapolated.

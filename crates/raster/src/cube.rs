@@ -1,6 +1,6 @@
 //! The cube raster: which samples are covered and how far away, and the radiance of each texel.
 
-use crate::footprint::{BOXES, project_box, project_inside};
+use crate::footprint::{BOXES, project_box, project_inside, turn};
 use crate::lamp::{LAMPS, LampSeen};
 use crate::lanes::{Lanes, SAMPLES};
 use crate::samples::{Veil, divisor, offset_sum, place, sample_near};
@@ -634,6 +634,25 @@ impl CubeRaster {
         // The receiver's own plane is nearer than all and is no thing.
         let own = own_plane::<L>(drawn, &self.depths[index]);
         L::load(&self.depths[index]).largest_where(drawn & !own)
+    }
+
+    /// Inverse distance, along a plane through the receiver, to the nearest of what stands on it in texel `index` (in memory): what covers samples whose
+    /// slope over the plane lies between two `slopes`. 0 where nothing does. Needs [`Self::keep_depths`] where nothing shines.
+    #[must_use]
+    #[inline(always)]
+    pub fn standing<L: Lanes>(&self, index: usize, plane: Vec3, slopes: [f32; 2]) -> f32 {
+        let drawn = self.covered[index] & self.above[index];
+        let (row, column) = (index / self.stride, index % self.stride);
+        let (face, row) = (CubeFace((row / self.n) as u8), row % self.n);
+        let (u, v) = (L::load(&self.directions[0][column]), L::load(&self.directions[1][row]));
+        let sine = inverse_depths(turn(plane, face), u, v);
+        let sine2 = sine.mul(sine);
+        let along2 = L::splat(1.0).add(u.mul(u)).add(v.mul(v)).sub(sine2);
+        let is_over = |slope: f32| L::bits(along2.mul(L::splat(slope * slope)).le(sine2));
+        let over = is_over(slopes[0]) & !is_over(slopes[1]) & L::bits(L::splat(0.0).le(sine));
+        let depths = L::load(&self.depths[index]);
+        let own = own_plane::<L>(drawn, &self.depths[index]);
+        depths.mul(depths).div(along2).largest_where(drawn & over & !own).sqrt()
     }
 
     /// Share of the samples of texel `index` (in memory) that lie above the horizon.
