@@ -273,12 +273,12 @@ impl Default for ShadeSettings {
 
 impl ShadeSettings {
     /// The `interpolation` that programs use where none is asked for: with a target for the error four times that, as what interpolation adds is about a
-    /// tenth of it. With twice and eight times a target of 5 %, the street takes 1.07 and 0.95 times as long and has 4.98 and 5.05 % of error, not
-    /// 5.01, and the apartment 1.11 and 0.90 times, 5.2 and 5.6 %, not 5.5.
+    /// tenth of it, but no more than a fifth. With two fifths a street of 960 × 540 gathers for 18 instead of 20 % of its receivers and misses things a pixel
+    /// high: occlusion has 13 % of error from interpolation, not 1.8 %.
     #[must_use]
     pub fn usual_interpolation(target_error: Option<f64>) -> f32 {
         const USUAL: f32 = 0.1;
-        const MOST: f32 = 0.4;
+        const MOST: f32 = 0.2;
         target_error.map_or(USUAL, |target| (4.0 * target as f32).min(MOST))
     }
 

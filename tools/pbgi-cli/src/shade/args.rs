@@ -320,7 +320,7 @@ pub struct QualityArgs {
     /// Error that interpolation may add; 0 gathers for each
     ///
     /// Receivers whose neighbors' light tells theirs are interpolated, by irradiance gradients; sharp shadows of suns and gloss never are. The mean of
-    /// what it adds is about a tenth of this; --check tells. 10% if not given, with --target-error or --quality four times that.
+    /// what it adds is about a tenth of this; --check tells. 10% if not given, with --target-error or --quality four times that, at most 20%.
     #[arg(long, value_name = "SHARE", value_parser = parse_share_or_none)]
     pub interpolation: Option<f32>,
     /// What makes nodes smaller in some directions than in others
