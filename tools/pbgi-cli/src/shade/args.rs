@@ -578,7 +578,8 @@ mod tests {
         let interpolation = |words: &[&str]| parse(words).map(|a| a.quality.interpolation());
         assert_eq!(interpolation(&[]).unwrap(), 0.1);
         assert_eq!(interpolation(&["--target-error", "5%"]).unwrap(), 0.2);
-        assert_eq!(interpolation(&["--quality", "draft"]).unwrap(), 0.4);
+        assert_eq!(interpolation(&["--quality", "medium"]).unwrap(), 0.16);
+        assert_eq!(interpolation(&["--quality", "draft"]).unwrap(), 0.2);
         assert_eq!(interpolation(&["--quality", "draft", "--interpolation", "5%"]).unwrap(), 0.05);
         assert_eq!(interpolation(&["--interpolation", "0"]).unwrap(), 0.0);
         assert_eq!(interpolation(&["--interpolation", "5%"]).unwrap(), 0.05);
