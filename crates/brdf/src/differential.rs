@@ -477,4 +477,18 @@ mod tests {
         assert!(found > 0.6 * truth && found < 4.0 * truth, "{found} {truth}");
         assert_eq!(differentiator.looming(0.0)[0], 0.0);
     }
+
+    /// What fills its side up to the zenith cannot grow, but nobody goes through it; over what is lower than a tenth of its distance the way is free.
+    #[test]
+    fn tall_walls_do_not_loom_and_stand_in_the_way() {
+        let (_, tall, of_tall) = beside_wall(Vec3::Z, 100.0);
+        let (_, low, of_low) = beside_wall(Vec3::Z, 0.05);
+        assert!(of_tall.looming(0.8)[0] < 0.002, "{}", of_tall.looming(0.8)[0]);
+        assert!(of_low.looming(0.8)[0] > 0.004, "{}", of_low.looming(0.8)[0]);
+        let reach = |found: &Differential, x: f32, y: f32| {
+            found.obstacles.are_reached(Vec3::Z, Vec3::new(x, y, 0.0), 0.8)
+        };
+        assert!(reach(&tall, 0.9, 0.1) && reach(&tall, 0.9, -0.5), "{:?}", tall.obstacles);
+        assert!(!reach(&tall, 0.7, 0.1) && !reach(&tall, -3.0, 0.5) && !reach(&low, 0.9, 0.1));
+    }
 }
