@@ -9,7 +9,7 @@ use pbgi_schedule::{
     Feed, KeptRecords, ScheduleError, ShadeOptions, ShadeReport, shade_receivers, shade_stream,
 };
 use pbgi_store::{Octree, OpenOptions};
-use pbgi_testkit::sphere_directions;
+use pbgi_testkit::{SurfelForm, closed_room, sphere_directions};
 use std::borrow::Cow;
 use std::sync::atomic::AtomicBool;
 
@@ -122,6 +122,27 @@ fn what_is_interpolated_is_near_what_is_gathered() {
     }
     // Twice as many with gradients of the other sign, as records then disagree.
     assert!(gathers < receivers.len() as u64 / 16, "{gathers}");
+}
+
+/// A floor that goes on below the walls of a closed room: inside, nothing changes wherever one goes, and outside it is bright.
+#[test]
+fn records_do_not_serve_behind_walls() {
+    let surfels = closed_room(Vec3::ONE, 40, 0.0, SurfelForm::Rectangles);
+    let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
+    let place = |i: usize| {
+        let [x, z] = [i % 40, i / 40].map(|i| (i as f32 + 0.5) * 0.1 - 2.0);
+        Vec3::new(x, -0.999, z)
+    };
+    let receivers: Vec<Receiver> =
+        (0..1600).map(|i| Receiver::diffuse(place(i), Vec3::Y)).collect();
+    let shade =
+        |tolerance| shade_receivers(&octree, None, &receivers, &options(tolerance)).unwrap();
+    let ((shared, report), (alone, _)) = (shade(TOLERANCE), shade(0.0));
+    assert!(report.cut_sizes.count < receivers.len() as u64 / 2, "{}", report.cut_sizes.count);
+    for (receiver, (shared, alone)) in receivers.iter().zip(shared.iter().zip(&alone)) {
+        let error = shared.ambient_occlusion - alone.ambient_occlusion;
+        assert!(error.abs() < TOLERANCE, "{}: {error}", receiver.position);
+    }
 }
 
 /// A floor whose normals swing as those of ripples do.
