@@ -630,10 +630,14 @@ impl CubeRaster {
     #[must_use]
     #[inline(always)]
     pub fn nearest<L: Lanes>(&self, index: usize) -> f32 {
+        L::load(&self.depths[index]).largest_where(self.things::<L>(index))
+    }
+
+    /// Samples of texel `index` (in memory) above the horizon that things cover: the receiver's own plane is none.
+    #[inline(always)]
+    fn things<L: Lanes>(&self, index: usize) -> u16 {
         let drawn = self.covered[index] & self.above[index];
-        // The receiver's own plane is nearer than all and is no thing.
-        let own = own_plane::<L>(drawn, &self.depths[index]);
-        L::load(&self.depths[index]).largest_where(drawn & !own)
+        drawn & !own_plane::<L>(drawn, &self.depths[index])
     }
 
     /// Inverse distance, along a plane through the receiver, to the nearest of what stands on it in texel `index` (in memory): what covers samples whose
@@ -641,7 +645,6 @@ impl CubeRaster {
     #[must_use]
     #[inline(always)]
     pub fn standing<L: Lanes>(&self, index: usize, plane: Vec3, slopes: [f32; 2]) -> f32 {
-        let drawn = self.covered[index] & self.above[index];
         let (row, column) = (index / self.stride, index % self.stride);
         let (face, row) = (CubeFace((row / self.n) as u8), row % self.n);
         let (u, v) = (L::load(&self.directions[0][column]), L::load(&self.directions[1][row]));
@@ -651,8 +654,7 @@ impl CubeRaster {
         let is_over = |slope: f32| L::bits(along2.mul(L::splat(slope * slope)).le(sine2));
         let over = is_over(slopes[0]) & !is_over(slopes[1]) & L::bits(L::splat(0.0).le(sine));
         let depths = L::load(&self.depths[index]);
-        let own = own_plane::<L>(drawn, &self.depths[index]);
-        depths.mul(depths).div(along2).largest_where(drawn & over & !own).sqrt()
+        depths.mul(depths).div(along2).largest_where(self.things::<L>(index) & over).sqrt()
     }
 
     /// Share of the samples of texel `index` (in memory) that lie above the horizon.
