@@ -2,7 +2,7 @@
 
 use crate::group::Boxes;
 use crate::known::{KnownLeaf, NodeReader};
-use crate::own_surface::is_own_surface;
+use crate::own_surface::{is_own_surface, least_distance};
 use crate::stats::CutStats;
 use crate::walk::{CutReceiver, CutVisitor, SurfelSeen};
 use pbgi_format::CHILDREN_MAX;
@@ -40,11 +40,14 @@ pub(crate) fn take_leaf<V: CutVisitor>(
             let (distance2, index) = (f32::from_bits((key >> 32) as u32), *key as u32);
             let surfel = &surfels[index as usize];
             let center = centers[index as usize] - position;
-            if distance2 == 0.0 || is_own_surface(surfel, center, receiver) {
+            if distance2 == 0.0
+                || is_own_surface(surfel, center, receiver, &mut stats.doubts_own_surface)
+            {
                 continue;
             }
-            let seed = leaf.seed(index);
-            visitor.take_surfel(&SurfelSeen { surfel, center, seed, distance2, kept });
+            let (seed, distance_min) = (leaf.seed(index), least_distance(surfel, center, receiver));
+            let seen = SurfelSeen { surfel, center, seed, distance2, distance_min, kept };
+            visitor.take_surfel(&seen);
             stats.surfels += 1;
         }
     }

@@ -20,7 +20,7 @@ pub use cluster::{Cluster, Piece};
 pub use group::Boxes;
 pub use known::{KNOWN_BYTES, NodeReader};
 pub use metric::{NodeSeen, Threshold, UniformThreshold};
-pub use own_surface::OWN_SURFACE_COSINE;
+pub use own_surface::lies_on_disks;
 pub use stats::{CutStats, LEVELS, LevelStats};
 pub use surfel::{CutSurfel, RECTANGLE_RIM, SurfelShape, TRIANGLE_RIM};
 pub use walk::{CutReceiver, CutScratch, CutVisitor, Kept, NOTHING_KEPT, SurfelSeen, pick_cut};

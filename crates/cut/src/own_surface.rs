@@ -1,21 +1,30 @@
 //! What of the surfels next to a receiver is its own surface, which it does not see.
 
+use crate::known::{Below, NodeReader};
+use crate::stats::CutStats;
 use crate::surfel::{CutSurfel, SurfelShape};
 use crate::walk::CutReceiver;
-use pbgi_math::Vec3;
+use pbgi_math::{Vec3, larger};
+use pbgi_store::StoreError;
 
 /// Share of its radius by which a rectangle or triangle that looks the same way as the receiver's surface must rise above the plane of that to hide
 /// anything: so far do neighbors on a curved surface.
 const ALIKE_BIAS: f32 = 0.05;
 
 /// Cosine of the angle between normals above which a near disk may be a piece of the receiver's own curved surface.
-pub const OWN_SURFACE_COSINE: f32 = 0.7;
+const OWN_SURFACE_COSINE: f32 = 0.7;
 
 /// Cosine of the angle by which neighboring pieces of one sheet may be folded.
 const FOLD_COSINE: f32 = 0.5;
 
-/// Share of its radius by which a disk that faces the receiver must rise above its plane.
-const FACING_BIAS: f32 = 0.05;
+/// Disks that lie along the receiver's own surface are not hit nearer than this many radii: the
+/// neighbors of a point on a curved surface stand above its tangent plane, though the surface does not.
+const OWN_SURFACE_RADII: f32 = 2.0;
+
+/// Share of its radius by which the receiver must lie behind a disk and that above the receiver's tangent plane for the two to be of
+/// different surfaces, like slats: where a surface bulges its neighbors lie below, where it is hollow they are seen from the front, and
+/// where it is rough or scanned with noise they are near the plane.
+const OTHER_SURFACE_HEIGHT: f32 = 0.25;
 
 /// How far a surfel reaches over its center along a unit vector; no farther than its radius.
 #[inline(always)]
@@ -41,39 +50,120 @@ fn reach_along(surfel: &CutSurfel, direction: Vec3) -> f32 {
 /// Whether a surfel, with its center relative to the receiver, is below the horizon or belongs to the surface the receiver lies on.
 ///
 /// A rectangle or triangle is where it is: it is seen if any of it rises above the plane of the receiver's surface, which is that of its geometric
-/// normal, by more than codes are off by, and above the horizon of its shading normal. Disks reach over what they stand for, and keep a distance.
+/// normal, by more than codes are off by, and above the horizon of its shading normal. Disks reach over what they stand for, and keep a distance where
+/// the receiver lies on such: `doubts` is set where a disk belongs to its surface only if it does.
 #[inline(always)]
-pub(crate) fn is_own_surface(surfel: &CutSurfel, center: Vec3, receiver: &CutReceiver) -> bool {
+pub(crate) fn is_own_surface(
+    surfel: &CutSurfel,
+    center: Vec3,
+    receiver: &CutReceiver,
+    doubts: &mut bool,
+) -> bool {
     let plane = receiver.view.plane;
     let height = center.dot(plane);
     // Most are well above.
-    if height > surfel.radius + 2.0 * surfel.rounding
-        && height > receiver.surfel_bias * surfel.radius
-    {
+    let rounding = surfel.rounding(surfel.radius);
+    if height > surfel.radius + 2.0 * rounding && height > receiver.surfel_bias * surfel.radius {
         return false;
     }
     if !matches!(surfel.shape, SurfelShape::Disk { .. }) {
         // What looks another way is no neighbor on a curved surface: it hides if it rises by more than rounding explains, its own and that of a
         // receiver that was such a surfel itself.
         let is_alike = surfel.normal.dot(plane) > 0.0;
-        let rounding = 2.0 * surfel.rounding + surfel.outline_error(plane);
+        let rounding = 2.0 * rounding + surfel.outline_error(plane);
         let bound = if is_alike { rounding.max(ALIKE_BIAS * surfel.radius) } else { rounding };
         return height + reach_along(surfel, plane) <= bound;
     }
     let tilt = surfel.normal.dot(plane);
+    let depth = center.dot(surfel.normal);
+    let top = height + reach_along(surfel, plane);
     // A surface does not face its own front: what does hangs over the receiver, however low.
     let is_facing = !surfel.isotropic && tilt < 0.0;
-    let share =
-        if is_facing { FACING_BIAS.min(receiver.surfel_bias) } else { receiver.surfel_bias };
-    let least = share * surfel.radius;
-    if height <= least && height + reach_along(surfel, plane) <= least {
-        return true;
+    if is_facing || receiver.surfel_bias == 0.0 {
+        // It is a side of the receiver's own sheet if rounding may have moved it over the receiver.
+        let across = (center.length_squared() - depth * depth).max(0.0).sqrt();
+        let over = if is_facing { -depth } else { depth };
+        let is_at_it = over <= 2.0 * surfel.rounding(across.min(surfel.radius));
+        if top <= 0.0 || (top <= 2.0 * rounding && is_at_it) {
+            return true;
+        }
+    } else {
+        let least = larger(receiver.surfel_bias * surfel.radius, 2.0 * rounding);
+        if height <= least && top <= least {
+            *doubts |= is_over(surfel, center, plane) == Some(true);
+            return true;
+        }
     }
     // Disks reach over the edges of their surface. Where one of a solid thing is seen from behind and has
     // its middle below the tangent plane, the receiver's own surface lies before it.
     // Where one of a sheet's other side is seen from its front, a fold of the receiver's own sheet does.
-    let depth = center.dot(surfel.normal);
     let is_fold = surfel.front_only && tilt < -FOLD_COSINE;
     let is_behind = !surfel.front_only && depth > 0.0;
     height <= 0.0 && !surfel.isotropic && (is_fold || is_behind)
+}
+
+/// Least distance at which a disk is hit, so that a surface does not shadow itself.
+#[inline(always)]
+pub(crate) fn least_distance(surfel: &CutSurfel, center: Vec3, receiver: &CutReceiver) -> f32 {
+    let plane = receiver.view.plane;
+    let is_alike = !surfel.isotropic && surfel.normal.dot(plane) > OWN_SURFACE_COSINE;
+    let (height, depth) = (plane.dot(center), surfel.normal.dot(center));
+    let is_other = height.min(depth) > OTHER_SURFACE_HEIGHT * surfel.radius;
+    let may_be_own = is_alike && !is_other && receiver.surfel_bias > 0.0;
+    if may_be_own { OWN_SURFACE_RADII * surfel.radius } else { 0.0 }
+}
+
+/// Whether a disk that looks the receiver's way, and that its normal leads through, lies over it: farther before it than a surface bends that has both
+/// normals, whose tangents between the two are no steeper than they are to each other, and than rounding explains. None of what is no such disk.
+#[inline(always)]
+fn is_over(surfel: &CutSurfel, center: Vec3, plane: Vec3) -> Option<bool> {
+    let tilt = surfel.normal.dot(plane);
+    if surfel.isotropic || tilt < OWN_SURFACE_COSINE {
+        return None;
+    }
+    let depth = center.dot(surfel.normal);
+    let across = (center.length_squared() - depth * depth).max(0.0).sqrt();
+    if across > surfel.radius {
+        return None;
+    }
+    let bend = across * (1.0 - tilt * tilt).max(0.0).sqrt();
+    Some(depth > bend + 2.0 * surfel.rounding(across))
+}
+
+/// Whether a receiver lies on a surface of disks: whether any that looks its way and that its normal leads through lies at it or below, by no more than the
+/// bias.
+///
+/// # Errors
+///
+/// If a page cannot be read or contradicts itself.
+#[cold]
+pub fn lies_on_disks(
+    nodes: &mut NodeReader<'_>,
+    receiver: &CutReceiver,
+    stats: &mut CutStats,
+) -> Result<bool, StoreError> {
+    let root = nodes.root(stats)?;
+    let mut groups = vec![root];
+    while let Some(at) = groups.pop() {
+        for octant in nodes.group(at).octants_around(receiver.view.position) {
+            match nodes.below(at, octant, stats)? {
+                Some(Below::Group(child)) => groups.push(child),
+                Some(Below::Leaf(leaf)) => {
+                    let (centers, surfels) = nodes.surfels(leaf);
+                    let supports = |(center, surfel): (&Vec3, &CutSurfel)| {
+                        let center = *center - receiver.view.position;
+                        let depth = center.dot(surfel.normal);
+                        matches!(surfel.shape, SurfelShape::Disk { .. })
+                            && is_over(surfel, center, receiver.view.plane) == Some(false)
+                            && depth >= -receiver.surfel_bias * surfel.radius
+                    };
+                    if centers.iter().zip(surfels).any(supports) {
+                        return Ok(true);
+                    }
+                }
+                None => {}
+            }
+        }
+    }
+    Ok(false)
 }

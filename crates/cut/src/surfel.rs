@@ -41,8 +41,8 @@ pub struct CutSurfel {
     pub area: f32,
     /// What it stands for.
     pub shape: SurfelShape,
-    /// How far codes of its place and its normal may move any of it along its normal.
-    pub rounding: f32,
+    /// How far codes of its place, and arithmetic, may move it along its normal.
+    pub place_error: f32,
     /// Corners of a box around its rim, from its center.
     pub reach: [Vec3; 2],
     /// Radiance of the front, W·m⁻²·sr⁻¹.
@@ -70,10 +70,24 @@ const DISK_RIM: f32 = 1.4;
 /// transparent instead.
 const NEEDLE_RATIO: f32 = 2.2;
 
-/// Angle, in radians, by which codes of normals are off at most: of those that stand for rectangles and triangles, 0.07°.
-const NORMAL_ERROR: f32 = 1.25e-3;
+/// Angle, in radians, by which codes of normals are off at most, 0.07° in 24 bits, which rectangles and triangles have.
+const TILE_NORMAL_ERROR: f32 = 1.25e-3;
+
+/// The same of disks, which may have 20 bits: 0.25°.
+const DISK_NORMAL_ERROR: f32 = 4.4e-3;
 
 impl CutSurfel {
+    /// How far codes of its place and its normal may move it along its normal at most, so far from its center.
+    #[must_use]
+    #[inline(always)]
+    pub fn rounding(&self, across: f32) -> f32 {
+        let angle = match self.shape {
+            SurfelShape::Disk { .. } => DISK_NORMAL_ERROR,
+            _ => TILE_NORMAL_ERROR,
+        };
+        self.place_error + angle * across
+    }
+
     /// How far codes may move an edge of a rectangle or triangle over a plane through its end: along its own plane by half a rim, times the sine of
     /// the angle between the planes.
     #[must_use]
@@ -132,8 +146,8 @@ impl CutSurfel {
             (shape, box_around(normal, rim, isotropic))
         };
         let arithmetic = 4.0 * f32::EPSILON * surfel.center.abs().max_element();
-        let rounding = position_error + NORMAL_ERROR * radius + arithmetic;
-        Self { normal, radius, area, shape, rounding, reach, radiance, isotropic, front_only }
+        let place_error = position_error + arithmetic;
+        Self { normal, radius, area, shape, place_error, reach, radiance, isotropic, front_only }
     }
 }
 

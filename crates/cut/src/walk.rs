@@ -29,6 +29,12 @@ impl CutReceiver {
         Self { view: Viewpoint { position, normal, plane }, surfel_bias }
     }
 
+    /// The same receiver, if it lies on no disks.
+    #[must_use]
+    pub fn on_no_disks(self) -> Self {
+        Self { surfel_bias: 0.0, ..self }
+    }
+
     /// Unit normal of the surface it lies on.
     #[must_use]
     #[inline(always)]
@@ -55,6 +61,8 @@ pub struct SurfelSeen<'s> {
     pub seed: u32,
     /// Squared distance of its center.
     pub distance2: f32,
+    /// Points of it nearer than this are not there.
+    pub distance_min: f32,
     /// What the visitor has kept of its box.
     pub kept: Kept,
 }

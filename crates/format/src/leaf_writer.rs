@@ -6,7 +6,7 @@ use crate::leaf::{
 };
 use crate::surfel::{RADIANCE, SIZE_RATIO, encode_albedo};
 use crate::{Channels, MiniFloat, SurfelLayout};
-use pbgi_math::{Aabb, FootCode, Vec3, narrow_octahedral24};
+use pbgi_math::{Aabb, FootCode, Vec3, decode_octahedral24, narrow_octahedral24};
 
 /// Most bits of a coordinate.
 const POSITION_WIDTH_MAX: u32 = 15;
@@ -24,6 +24,18 @@ const ACROSS: StepsPerEdge = StepsPerEdge { tile: 256.0, mean: 128.0, least: 32.
 
 /// Steps along the axes of the world, where surfaces have several normals.
 const MIXED: StepsPerEdge = StepsPerEdge { tile: 256.0, mean: 64.0, least: 32.0 };
+
+/// Steps from a surface to one that faces it or away from it: one step of 1/8 leaves each where it is to within a quarter of the way to the other.
+const STEPS_BETWEEN_SHEETS: f32 = 8.0;
+
+/// Angle, in radians, by which codes of normals are off at most: 0.07°.
+const NORMAL_ERROR: f32 = 1.25e-3;
+
+/// Half diagonals of two squares, in halves of an edge: centers farther from each other than that are those of surfels side by side.
+const HALF_DIAGONALS: f32 = 2.9;
+
+/// Cosine between normals below which two are opposed.
+const OPPOSED_COSINE: f32 = -0.99;
 
 /// Steps along a plane, where neighbors overlap.
 const ALONG: StepsPerEdge = StepsPerEdge { tile: 64.0, mean: 32.0, least: 16.0 };
@@ -428,7 +440,7 @@ impl LeafWriter {
             true => PositionFrame::of_plane(frame, self.orientations.values[0]),
             false => PositionFrame::of_box(frame),
         };
-        let axes = self.fit_axes(&frame, is_plane, layout);
+        let axes = self.fit_axes(&frame, orientation, layout);
         let (size, radius, area) = self.choose_sizes();
         let widths = axes[0].width | axes[1].width << 4 | axes[2].width << 8;
         let control = widths | (orientation as u32) << 12 | (size as u32) << 14;
@@ -529,9 +541,10 @@ impl LeafWriter {
     fn fit_axes(
         &mut self,
         frame: &PositionFrame,
-        is_plane: bool,
+        orientation: OrientationMode,
         layout: &SurfelLayout,
     ) -> [Axis; 3] {
+        let is_plane = orientation == OrientationMode::Plane;
         let half_edge = |area: f32| 0.5 * area.sqrt();
         let mean = half_edge(self.area_sum / self.surfels.len() as f32);
         let least = half_edge(layout.area.decode(self.area_span.least as u16));
@@ -553,14 +566,61 @@ impl LeafWriter {
             }
             self.places.push(place);
         }
+        let mut mixed = [step(&MIXED); 3];
+        if orientation == OrientationMode::Listed && self.tile_edge.is_some() {
+            self.keep_sheets_apart(mean, &mut mixed);
+        }
         std::array::from_fn(|axis| {
             let (range, extent) = ((low[axis], high[axis]), 2.0 * frame.half[axis]);
             match (is_plane, axis) {
                 (true, 2) => Axis::fit_heights(range, extent, step(&ACROSS)),
                 (true, _) => Axis::fit(range, extent, step(&ALONG)),
-                _ => Axis::fit(range, extent, step(&MIXED)),
+                _ => Axis::fit(range, extent, mixed[axis]),
             }
         })
+    }
+
+    /// Makes the steps of coordinates so small that surfaces whose listed normals are opposed stay apart where one lies over the other: sides of a board, or
+    /// two boards that nearly touch. Sides at one place, a sheet's, stay there.
+    fn keep_sheets_apart(&self, half_edge: f32, steps: &mut [f32; 3]) {
+        let normals: Vec<Vec3> =
+            self.orientations.values.iter().map(|o| decode_octahedral24(o & NORMAL_BITS)).collect();
+        let reach = STEPS_BETWEEN_SHEETS * steps.iter().fold(0f32, |a, b| a.max(*b));
+        let overlap2 = (HALF_DIAGONALS * half_edge).powi(2);
+        let mut heights = Vec::with_capacity(self.surfels.len());
+        for (first, normal) in normals.iter().enumerate() {
+            for second in first + 1..normals.len() {
+                if normal.dot(normals[second]) > OPPOSED_COSINE {
+                    continue;
+                }
+                heights.clear();
+                for (surfel, index) in self.surfels.iter().zip(&self.orientations.indices) {
+                    let index = usize::from(*index);
+                    if index == first || index == second {
+                        heights.push((normal.dot(surfel.center), index, surfel.center));
+                    }
+                }
+                heights.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+                for (place, &(height, index, center)) in heights.iter().enumerate() {
+                    let one_place = 4.0 * f32::EPSILON * center.abs().max_element();
+                    for &(above, other, over) in &heights[place + 1..] {
+                        let apart = above - height;
+                        if apart > reach {
+                            break;
+                        }
+                        let across2 = (over - center).length_squared() - apart * apart;
+                        let one_plane = NORMAL_ERROR * across2.max(0.0).sqrt() + one_place;
+                        if index == other || apart <= one_plane || across2 > overlap2 {
+                            continue;
+                        }
+                        let most = apart / STEPS_BETWEEN_SHEETS;
+                        for (step, along) in steps.iter_mut().zip(normal.abs().to_array()) {
+                            *step = step.min(most / along.max(f32::MIN_POSITIVE));
+                        }
+                    }
+                }
+            }
+        }
     }
 
     fn choose_orientation(&mut self) -> OrientationMode {
@@ -903,6 +963,43 @@ mod tests {
         }
         // Two coordinates of 11 bits; what is shared takes the rest.
         assert!(cost(&surfels) < 32.0, "{}", cost(&surfels));
+    }
+
+    /// Two sides of a board of some hundredths of a tile are told apart, those of a sheet stay at one place and cost nothing.
+    #[test]
+    fn sides_of_thin_boards_are_apart() {
+        const SIZE: f32 = 0.4;
+        let normal = decode_octahedral24(wall()[0].orientation);
+        let other = encode_octahedral24(-normal);
+        assert_eq!(decode_octahedral24(other), -normal);
+        let board = |thickness: f32| {
+            let mut surfels = wall();
+            surfels.truncate(8);
+            for index in 0..8 {
+                surfels[index].size = SIZE;
+                surfels[index].area = 2.0 * SIZE * SIZE;
+                let mut back = surfels[index];
+                back.center -= normal * thickness;
+                back.orientation = other | back.orientation & !NORMAL_BITS;
+                surfels.push(back);
+            }
+            surfels
+        };
+        let mut sheet_bits = 0.0;
+        for thickness in [0.0, 0.1, 0.01, 1e-3] {
+            let thickness = thickness * SIZE;
+            let surfels = board(thickness);
+            let stored = store(&surfels, &LAYOUT);
+            for (front, back) in stored[..8].iter().zip(&stored[8..]) {
+                let apart = (front.center - back.center).dot(normal);
+                assert!((apart - thickness).abs() <= 0.5 * thickness, "{apart} of {thickness}");
+            }
+            let bits = cost(&surfels);
+            match thickness {
+                0.0 => sheet_bits = bits,
+                _ => assert!(bits < sheet_bits + 30.0, "{bits} of {sheet_bits}"),
+            }
+        }
     }
 
     #[test]

@@ -10,7 +10,8 @@ use crate::visitors::CubeVisitor;
 use crate::windows::lamp_window;
 use pbgi_brdf::{ConvolutionTable, Differential, Differentiator, GgxLobe, convolve_diffuse};
 use pbgi_cut::{
-    CutReceiver, CutScratch, CutStats, CutVisitor, KNOWN_BYTES, NodeReader, Threshold, pick_cut,
+    CutReceiver, CutScratch, CutStats, CutVisitor, KNOWN_BYTES, NodeReader, Threshold,
+    lies_on_disks, pick_cut,
 };
 use pbgi_math::Vec3;
 use pbgi_raster::{
@@ -145,20 +146,49 @@ impl<'a> Gatherer<'a> {
         let before = self.walker.stats.cut_size();
         let mut shading = Shading::default();
         if self.settings.parts != GatherParts::Sharp {
-            let place = self.cut_receiver(receiver);
-            self.find_lamps(&place)?;
-            let (stakes, gatherer) = (self.stakes()?, &mut *self);
-            let kernel = CubeKernel { gatherer, place: &place, receiver, stakes };
-            run_wide(kernel.gatherer.settings.simd, kernel)?;
-            let kernel = ConvolutionKernel { gatherer: self, receiver, shading: &mut shading };
-            run_wide(kernel.gatherer.settings.simd, kernel);
-            self.look_at_lamps(&place, &mut shading)?;
+            self.gather_at(receiver, &mut shading, Self::gather_broad)?;
         }
         if self.settings.parts != GatherParts::Broad {
-            self.gather_sharp(receiver, &mut shading)?;
+            self.gather_at(receiver, &mut shading, Self::gather_sharp)?;
         }
         shading.cut_size = (self.walker.stats.cut_size() - before) as u32;
         Ok(shading)
+    }
+
+    /// Adds light to what a receiver has. Disks just over it are left out as its own surface, and once more looked at where it lies on none.
+    fn gather_at(
+        &mut self,
+        receiver: &Receiver,
+        shading: &mut Shading,
+        gather: impl Fn(&mut Self, &CutReceiver, &Receiver, &mut Shading) -> Result<(), StoreError>,
+    ) -> Result<(), StoreError> {
+        let &Receiver { position, normal, plane, .. } = receiver;
+        let place = CutReceiver::new(position, normal, plane, self.settings.bias);
+        let before = *shading;
+        self.walker.stats.doubts_own_surface = false;
+        gather(self, &place, receiver, shading)?;
+        let Walker { nodes, stats, .. } = &mut self.walker;
+        if stats.doubts_own_surface && !lies_on_disks(nodes, &place, stats)? {
+            *shading = before;
+            gather(self, &place.on_no_disks(), receiver, shading)?;
+        }
+        Ok(())
+    }
+
+    /// Light of surfaces and of the environment without its peaks.
+    fn gather_broad(
+        &mut self,
+        place: &CutReceiver,
+        receiver: &Receiver,
+        shading: &mut Shading,
+    ) -> Result<(), StoreError> {
+        self.find_lamps(place)?;
+        let (stakes, gatherer) = (self.stakes()?, &mut *self);
+        let kernel = CubeKernel { gatherer, place, receiver, stakes };
+        run_wide(kernel.gatherer.settings.simd, kernel)?;
+        let kernel = ConvolutionKernel { gatherer: self, receiver, shading };
+        run_wide(kernel.gatherer.settings.simd, kernel);
+        self.look_at_lamps(place, shading)
     }
 
     /// Gathers broad light for a receiver, and how it changes around it; the settings must have a tolerance.
@@ -199,7 +229,7 @@ impl<'a> Gatherer<'a> {
         shading: &mut Shading,
     ) -> Result<(), StoreError> {
         let before = self.walker.stats.cut_size();
-        self.gather_sharp(receiver, shading)?;
+        self.gather_at(receiver, shading, Self::gather_sharp)?;
         shading.cut_size += (self.walker.stats.cut_size() - before) as u32;
         Ok(())
     }
@@ -207,6 +237,7 @@ impl<'a> Gatherer<'a> {
     /// Peaks of the environment and reflections, which each receiver looks for by itself.
     fn gather_sharp(
         &mut self,
+        place: &CutReceiver,
         receiver: &Receiver,
         shading: &mut Shading,
     ) -> Result<(), StoreError> {
@@ -222,21 +253,15 @@ impl<'a> Gatherer<'a> {
         if lobe.is_none() && !peaks.iter().any(is_met) {
             return Ok(());
         }
-        let place = self.cut_receiver(receiver);
         if let Some(lobe) = &lobe {
             let stakes = self.stakes()?;
-            let kernel = LobeKernel { gatherer: self, lobe, place: &place, stakes, shading };
+            let kernel = LobeKernel { gatherer: self, lobe, place, stakes, shading };
             run_wide(kernel.gatherer.settings.simd, kernel)?;
         }
         for peak in peaks.iter().filter(|peak| is_met(peak)) {
-            self.gather_peak(peak, &place, receiver, lobe.as_ref(), shading)?;
+            self.gather_peak(peak, place, receiver, lobe.as_ref(), shading)?;
         }
         Ok(())
-    }
-
-    fn cut_receiver(&self, receiver: &Receiver) -> CutReceiver {
-        let &Receiver { position, normal, plane, .. } = receiver;
-        CutReceiver::new(position, normal, plane, self.settings.bias)
     }
 
     /// Finds what shines brightly around a place.

@@ -1,30 +1,9 @@
 //! Surfels and pieces of clusters as shapes that rasters draw.
 
-use pbgi_cut::{
-    Cluster, CutSurfel, OWN_SURFACE_COSINE, Piece, RECTANGLE_RIM, SurfelSeen, SurfelShape,
-    TRIANGLE_RIM,
-};
+use pbgi_cut::{Cluster, Piece, RECTANGLE_RIM, SurfelSeen, SurfelShape, TRIANGLE_RIM};
 use pbgi_math::{Vec3, patch_solid_angle_factor};
 use pbgi_raster::{Disk, Ink, Place, Section, Shape, Tile, Triangle, Veil};
 use std::f32::consts::FRAC_1_PI;
-
-/// Disks that lie along the receiver's own surface are not hit nearer than this many radii: the
-/// neighbors of a point on a curved surface stand above its tangent plane, though the surface does not.
-const OWN_SURFACE_RADII: f32 = 2.0;
-
-/// Share of its radius by which the receiver must lie behind a disk and that above the receiver's tangent plane for the two to be of
-/// different surfaces, like slats: where a surface bulges its neighbors lie below, where it is hollow they are seen from the front, and
-/// where it is rough or scanned with noise they are near the plane.
-const OTHER_SURFACE_HEIGHT: f32 = 0.25;
-
-/// Least distance at which a disk is hit, so that a surface does not shadow itself.
-#[inline(always)]
-fn least_distance(surfel: &CutSurfel, center: Vec3, normal: Vec3) -> f32 {
-    let is_alike = !surfel.isotropic && surfel.normal.dot(normal) > OWN_SURFACE_COSINE;
-    let (height, depth) = (normal.dot(center), surfel.normal.dot(center));
-    let is_other = height.min(depth) > OTHER_SURFACE_HEIGHT * surfel.radius;
-    if is_alike && !is_other { OWN_SURFACE_RADII * surfel.radius } else { 0.0 }
-}
 
 /// How much nearer or farther than a disk its neighbors may be, in radii of its rim: those of one surface seen at a grazing angle are two apart, and with
 /// them come the ones before and behind them in the same texel. With 2 a closed room of disks has an error of 7.7 %, with 3 of 5.7 %, with 5 of 4.9 %, and
@@ -101,17 +80,12 @@ pub(crate) fn draw_surfel<P: SurfelPen>(seen: &SurfelSeen<'_>, plane: Vec3, pen:
 
 /// The disk a surfel is drawn as, and its normal. An isotropic one turns to the receiver.
 #[inline(always)]
-fn surfel_disk(
-    seen: &SurfelSeen<'_>,
-    receiver_normal: Vec3,
-    [radius, reach]: [f32; 2],
-) -> (Disk, Vec3) {
+fn surfel_disk(seen: &SurfelSeen<'_>, plane: Vec3, [radius, reach]: [f32; 2]) -> (Disk, Vec3) {
     let &SurfelSeen { surfel, center, .. } = seen;
     let normal =
         if surfel.isotropic { center * (-1.0 / seen.distance2.sqrt()) } else { surfel.normal };
     let inverse = normal * (1.0 / normal.dot(center));
-    let distance_min = least_distance(surfel, center, receiver_normal);
-    let (ground, side) = (ground(seen, receiver_normal), side(seen));
+    let (distance_min, ground, side) = (seen.distance_min, ground(seen, plane), side(seen));
     let [x, y, z] = center.to_array().map(f32::to_bits);
     // Disks at one place have the same number; that neighbors do is rare.
     let number = x ^ y.rotate_left(11) ^ z.rotate_left(22);
