@@ -70,7 +70,7 @@ fn smooth_double_sided_meshes_have_no_black_spots() {
 fn between_two_close_sheets_it_is_dark() {
     let cells = 24i32;
     let edge = 1.0 / cells as f32;
-    for apart in [1e-2, 1e-3] {
+    for apart in [1e-2, 1e-3, 1e-4] {
         let sheet = |height: f32, normal: Vec3| {
             (0..cells * cells).map(move |i| {
                 let place = |i: i32| (i as f32 + 0.5) * edge - 0.5;
@@ -86,5 +86,40 @@ fn between_two_close_sheets_it_is_dark() {
             let found = gatherer.gather(&Receiver::diffuse(place, Vec3::Y)).unwrap();
             assert!(found.ambient_occlusion < 0.01, "{apart}: {}", found.ambient_occlusion);
         }
+    }
+}
+
+/// A lattice of disks in a square of edge 1 at a height, which looks up, each off it by up to so much.
+fn rough_sheet(height: f32, noise: f32) -> Vec<Surfel> {
+    let cells = 32i32;
+    let edge = 1.0 / cells as f32;
+    let place = |i: i32| (i as f32 + 0.5) * edge - 0.5;
+    (0..cells * cells)
+        .map(|i| {
+            // Golden ratios: as if at random, and as many above as below.
+            let off = noise * (2.0 * (i as f32 * 0.618_034).fract() - 1.0);
+            let center = Vec3::new(place(i % cells), height + off, place(i / cells));
+            Surfel::new(center, Vec3::Y, 0.8 * edge, edge * edge)
+        })
+        .collect()
+}
+
+/// Points of a scan hide nothing from each other, nor from what lies between them; just behind a sheet of them it is dark.
+#[test]
+fn receivers_on_rough_points_are_open_and_behind_them_dark() {
+    let radius = 0.8 / 32.0;
+    let surfels = rough_sheet(0.0, 0.1 * radius);
+    let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
+    let mut gatherer = Gatherer::new(octree.reader(), &GatherSettings::default(), None);
+    let mut open = |place: Vec3| {
+        gatherer.gather(&Receiver::diffuse(place, Vec3::Y)).unwrap().ambient_occlusion
+    };
+    let inner = surfels.iter().map(Surfel::center).filter(|c| c.abs().max_element() < 0.3);
+    for place in inner {
+        assert!(open(place) > 0.97, "on a point at {place}: {}", open(place));
+        let between = Vec3::new(place.x + 0.6 * radius, 0.0, place.z + 0.6 * radius);
+        assert!(open(between) > 0.97, "between points at {between}: {}", open(between));
+        let behind = Vec3::new(place.x, -0.3 * radius, place.z);
+        assert!(open(behind) < 0.03, "behind points at {behind}: {}", open(behind));
     }
 }
