@@ -137,7 +137,14 @@ pub(super) fn prepare(
         read_specular_glossiness(material);
     }
     find_images(&mut value, &mut extras, warnings);
-    let root = deserialize::from_value(value).map_err(invalid)?;
+    // As text once more: what reads text into the model is compiled with the model.
+    let json = value.to_string();
+    drop(value);
+    let root = Root::from_str(&json).map_err(|error| {
+        let error = error.to_string();
+        let what = error.split_once(" at line ").map_or(&*error, |(what, _)| what);
+        SceneError::malformed(path, format!("not valid gltf json: {what}"))
+    })?;
     Ok((root, extras))
 }
 
