@@ -66,16 +66,17 @@ pub(crate) fn is_own_surface(
     if height > surfel.radius + 2.0 * rounding && height > receiver.surfel_bias * surfel.radius {
         return false;
     }
+    let tilt = surfel.normal.dot(plane);
+    let depth = center.dot(surfel.normal);
     if !matches!(surfel.shape, SurfelShape::Disk { .. }) {
         // What looks another way is no neighbor on a curved surface: it hides if it rises by more than rounding explains, its own and that of a
         // receiver that was such a surfel itself.
-        let is_alike = surfel.normal.dot(plane) > 0.0;
         let rounding = 2.0 * rounding + surfel.outline_error(plane);
-        let bound = if is_alike { rounding.max(ALIKE_BIAS * surfel.radius) } else { rounding };
-        return height + reach_along(surfel, plane) <= bound;
+        let bound = if tilt > 0.0 { rounding.max(ALIKE_BIAS * surfel.radius) } else { rounding };
+        // The other side of a piece beside it, folded a little against the receiver's, rises over it, but the receiver is in its plane.
+        return height + reach_along(surfel, plane) <= bound
+            || (tilt < -FOLD_COSINE && is_in_plane(surfel, center, depth));
     }
-    let tilt = surfel.normal.dot(plane);
-    let depth = center.dot(surfel.normal);
     let top = height + reach_along(surfel, plane);
     // A surface does not face its own front: what does hangs over the receiver, however low.
     let is_facing = !surfel.isotropic && tilt < 0.0;
@@ -100,6 +101,13 @@ pub(crate) fn is_own_surface(
     let is_fold = surfel.front_only && tilt < -FOLD_COSINE;
     let is_behind = !surfel.front_only && depth > 0.0;
     height <= 0.0 && !surfel.isotropic && (is_fold || is_behind)
+}
+
+/// Whether rounding may have moved the receiver out of a surfel's plane, which its center is so far behind.
+#[inline(always)]
+fn is_in_plane(surfel: &CutSurfel, center: Vec3, depth: f32) -> bool {
+    let across = (center.length_squared() - depth * depth).max(0.0).sqrt();
+    depth.abs() <= 2.0 * surfel.rounding(across)
 }
 
 /// Least distance at which a disk is hit, so that a surface does not shadow itself.
