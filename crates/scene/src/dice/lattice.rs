@@ -319,20 +319,23 @@ impl Cell {
         [corner, corner + u, corner + v, corner + u + v]
     }
 
-    /// Barycentric coordinates of the points of a regular `edge` × `edge` grid over the cell that lie
-    /// in it; the centroid if none does. Calls `visit` with each.
-    pub fn visit_grid(&self, edge: u32, mut visit: impl FnMut(DVec3)) {
-        let mut visited = false;
+    /// Calls `visit` with the position and the barycentric coordinates of the middles of `edge` × `edge` equal parts of the cell.
+    pub fn visit_grid(&self, edge: u32, mut visit: impl FnMut(DVec3, DVec3)) {
         for k in 0..edge * edge {
-            let x = (f64::from(k % edge) + 0.5) / f64::from(edge);
-            let y = (f64::from(k / edge) + 0.5) / f64::from(edge);
-            if !self.is_triangle || x + y <= 1.0 {
-                visit(self.corner.step(&self.edges[0], x).step(&self.edges[1], y).barycentric);
-                visited = true;
-            }
-        }
-        if !visited {
-            visit(self.barycentric());
+            let (mut i, mut j) = (f64::from(k % edge), f64::from(k / edge));
+            let middle = match (self.is_triangle, k % edge + k / edge < edge) {
+                (false, _) => 0.5,
+                // Those of the other half of the rectangle are the turned ones of this, in between.
+                (true, true) => 1.0 / 3.0,
+                (true, false) => {
+                    (i, j) = (f64::from(edge) - 1.0 - i, f64::from(edge) - 1.0 - j);
+                    2.0 / 3.0
+                }
+            };
+            let [x, y] = [i, j].map(|place| (place + middle) / f64::from(edge));
+            let Corner { position, barycentric } =
+                self.corner.step(&self.edges[0], x).step(&self.edges[1], y);
+            visit(position, barycentric);
         }
     }
 }
@@ -455,7 +458,13 @@ pub(super) mod tests {
                 for (i, part) in parts.iter().enumerate() {
                     assert_eq!(part.is_turned(cell.edges()[0]), cell.is_triangle && i == 3);
                     let within = |b: DVec3| b.min_element() > -1e-9;
-                    part.visit_grid(4, |b| assert!(within(b), "{b}"));
+                    let (mut count, mut sum) = (0, DVec3::ZERO);
+                    part.visit_grid(5, |position, b| {
+                        assert!(within(b), "{b}");
+                        (count, sum) = (count + 1, sum + position);
+                    });
+                    let off = sum / f64::from(count) - part.center();
+                    assert!(count == 25 && off.length() < 1e-6, "{off} of {count}");
                 }
             });
         }

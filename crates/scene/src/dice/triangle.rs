@@ -1,7 +1,7 @@
 //! One triangle of an instance, or two as one rectangle, from world positions to surfels.
 
 use super::lattice::{Cell, Lattice, Lattices, SKEW_COSINE_MAX};
-use super::surface::{Shade, Surface, TriangleSurface};
+use super::surface::{ALPHA_GRID_LAST, ALPHA_GRID_MAX, Opaque, Shade, Surface, TriangleSurface};
 use super::{RUN_TRIANGLES, TwoSided};
 use crate::{Instance, Mesh, Scene};
 use pbgi_cloud::{Surfel, SurfelFlags};
@@ -378,20 +378,21 @@ impl DicedPatch<'_> {
                 self.push_opaque(piece, part, opaque, out);
             });
         } else {
-            self.push_opaque(piece, cell, 1.0, out);
+            let opaque = Opaque { share: 1.0, center: cell.center() };
+            self.push_opaque(piece, cell, opaque, out);
         }
     }
 
-    /// Appends the surfels of a cell of which the share `opaque` is no hole.
+    /// Appends the surfels of what of a cell is no hole.
     #[inline]
-    fn push_opaque(&mut self, piece: usize, cell: &Cell, opaque: f64, out: &mut Vec<Surfel>) {
+    fn push_opaque(&mut self, piece: usize, cell: &Cell, opaque: Opaque, out: &mut Vec<Surfel>) {
         if !self.uniform {
             let shade = self.surface.shade(cell);
             self.set_shade(shade);
         }
-        let position = cell.center().as_vec3().to_array();
+        let position = opaque.center.as_vec3().to_array();
         // Slivers may vanish in f32.
-        let area = ((cell.area() * opaque) as f32).max(f32::MIN_POSITIVE);
+        let area = ((cell.area() * opaque.share) as f32).max(f32::MIN_POSITIVE);
         for (k, side) in self.sides[..self.side_count].iter().enumerate() {
             let (Outline { orientation, flags }, radius) = self.outlines[piece].of(cell, area, k);
             // What is so thin that its shape overflows is of no shape.
@@ -410,19 +411,19 @@ impl DicedPatch<'_> {
     }
 }
 
-/// Visits what of a cell is no hole, with the share that is none: all of it, or where a part is hole, its parts, quartered while
-/// they have more than `area_min`.
+/// Visits what of a cell is no hole: all of it, or where a part is hole, its parts, quartered while they have more than `area_min`.
 fn visit_opaque(
     surface: &TriangleSurface<'_>,
     cell: &Cell,
     area_min: f64,
-    visit: &mut dyn FnMut(&Cell, f64),
+    visit: &mut dyn FnMut(&Cell, Opaque),
 ) {
-    let opaque = surface.opaque_fraction(cell);
-    if opaque == 0.0 {
+    let is_last = cell.area() <= area_min;
+    let opaque = surface.opaque(cell, if is_last { ALPHA_GRID_LAST } else { ALPHA_GRID_MAX });
+    if opaque.share == 0.0 {
         return;
     }
-    if opaque == 1.0 || cell.area() <= area_min {
+    if opaque.share == 1.0 || is_last {
         return visit(cell, opaque);
     }
     for part in cell.parts() {
