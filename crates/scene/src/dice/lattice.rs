@@ -319,24 +319,32 @@ impl Cell {
         [corner, corner + u, corner + v, corner + u + v]
     }
 
-    /// Calls `visit` with the position and the barycentric coordinates of the middles of `edge` × `edge` equal parts of the cell.
-    pub fn visit_grid(&self, edge: u32, mut visit: impl FnMut(DVec3, DVec3)) {
-        for k in 0..edge * edge {
-            let (mut i, mut j) = (f64::from(k % edge), f64::from(k / edge));
-            let middle = match (self.is_triangle, k % edge + k / edge < edge) {
-                (false, _) => 0.5,
-                // Those of the other half of the rectangle are the turned ones of this, in between.
-                (true, true) => 1.0 / 3.0,
-                (true, false) => {
-                    (i, j) = (f64::from(edge) - 1.0 - i, f64::from(edge) - 1.0 - j);
-                    2.0 / 3.0
-                }
-            };
-            let [x, y] = [i, j].map(|place| (place + middle) / f64::from(edge));
-            let Corner { position, barycentric } =
-                self.corner.step(&self.edges[0], x).step(&self.edges[1], y);
-            visit(position, barycentric);
+    /// Calls `visit` with the place along its edges, and the barycentric coordinates, of the middles of equal parts of the cell: `edge` × `edge` of a
+    /// rectangle, and about as many for its area of a triangle.
+    #[inline]
+    pub fn visit_grid(&self, edge: u32, mut visit: impl FnMut([f64; 2], DVec3)) {
+        let edge = if self.is_triangle { (3 * edge).div_ceil(4) } else { edge };
+        let [u, v] = self.edges.map(|step| step.barycentric);
+        let part = 1.0 / f64::from(edge);
+        for row in 0..edge {
+            for column in 0..edge {
+                let (x, y) = match (self.is_triangle, row + column < edge) {
+                    (false, _) => (f64::from(column) + 0.5, f64::from(row) + 0.5),
+                    (true, true) => (f64::from(column) + 1.0 / 3.0, f64::from(row) + 1.0 / 3.0),
+                    // Of the rectangle's other half: the turned parts between these.
+                    (true, false) => {
+                        (f64::from(edge - column) - 1.0 / 3.0, f64::from(edge - row) - 1.0 / 3.0)
+                    }
+                };
+                let (x, y) = (x * part, y * part);
+                visit([x, y], self.corner.barycentric + u * x + v * y);
+            }
         }
+    }
+
+    /// The position of a place along its edges.
+    pub fn position(&self, [x, y]: [f64; 2]) -> DVec3 {
+        self.corner.step(&self.edges[0], x).step(&self.edges[1], y).position
     }
 }
 
@@ -459,12 +467,13 @@ pub(super) mod tests {
                     assert_eq!(part.is_turned(cell.edges()[0]), cell.is_triangle && i == 3);
                     let within = |b: DVec3| b.min_element() > -1e-9;
                     let (mut count, mut sum) = (0, DVec3::ZERO);
-                    part.visit_grid(5, |position, b| {
+                    part.visit_grid(8, |place, b| {
                         assert!(within(b), "{b}");
-                        (count, sum) = (count + 1, sum + position);
+                        (count, sum) = (count + 1, sum + part.position(place));
                     });
                     let off = sum / f64::from(count) - part.center();
-                    assert!(count == 25 && off.length() < 1e-6, "{off} of {count}");
+                    let all = if part.is_triangle { 36 } else { 64 };
+                    assert!(count == all && off.length() < 1e-6, "{off} of {count}");
                 }
             });
         }

@@ -4,10 +4,10 @@ use super::lattice::Cell;
 use crate::{Material, Mesh, Scene, Texture};
 use pbgi_math::{DVec3, Vec2};
 
-/// Most alpha samples along an edge of a micropolygon that may be quartered.
+/// Most alpha samples along an edge of a micropolygon.
 pub(super) const ALPHA_GRID_MAX: u32 = 4;
 
-/// The same of one that keeps its holes.
+/// The same of one that has holes and is not quartered.
 pub(super) const ALPHA_GRID_LAST: u32 = 8;
 
 /// What of a micropolygon is no hole.
@@ -149,21 +149,21 @@ impl TriangleSurface<'_> {
         let grid = (grid.ceil() as u32).clamp(1, grid_max);
         let fades = self.alphas != [self.alphas[0]; 3];
         let grid = if fades { grid_max } else { grid };
-        let (mut opaque, mut total, mut sum) = (0u32, 0u32, DVec3::ZERO);
-        cell.visit_grid(grid, |position, barycentric| {
+        let (mut opaque, mut total, mut sum) = (0u32, 0u32, [0f64; 2]);
+        cell.visit_grid(grid, |[x, y], barycentric| {
             let texel = texture.map_or(1.0, |t| t.sample_alpha(self.uv(barycentric)));
             let alpha = texel * self.alpha(barycentric);
             total += 1;
             if alpha >= cutoff {
                 opaque += 1;
-                sum += position;
+                sum = [sum[0] + x, sum[1] + y];
             }
         });
         if opaque == total {
             return whole();
         }
         let share = f64::from(opaque) / f64::from(total);
-        Opaque { share, center: sum / f64::from(opaque.max(1)) }
+        Opaque { share, center: cell.position(sum.map(|sum| sum / f64::from(opaque.max(1)))) }
     }
 
     fn uv(&self, barycentric: DVec3) -> Vec2 {

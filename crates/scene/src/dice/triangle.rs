@@ -374,7 +374,11 @@ impl DicedPatch<'_> {
     pub fn push_surfels(&mut self, piece: usize, cell: &Cell, out: &mut Vec<Surfel>) {
         if self.masked {
             let surface = self.surface;
-            visit_opaque(&surface, cell, self.part_area_min, &mut |part, opaque| {
+            visit_opaque(&surface, cell, self.part_area_min, &mut |part, coarse| {
+                let fine = || surface.opaque(part, ALPHA_GRID_LAST);
+                let opaque = if coarse.share < 1.0 { fine() } else { coarse };
+                // What was counted is there, however little of it more samples find.
+                let opaque = if opaque.share > 0.0 { opaque } else { coarse };
                 self.push_opaque(piece, part, opaque, out);
             });
         } else {
@@ -418,12 +422,11 @@ fn visit_opaque(
     area_min: f64,
     visit: &mut dyn FnMut(&Cell, Opaque),
 ) {
-    let is_last = cell.area() <= area_min;
-    let opaque = surface.opaque(cell, if is_last { ALPHA_GRID_LAST } else { ALPHA_GRID_MAX });
+    let opaque = surface.opaque(cell, ALPHA_GRID_MAX);
     if opaque.share == 0.0 {
         return;
     }
-    if opaque.share == 1.0 || is_last {
+    if opaque.share == 1.0 || cell.area() <= area_min {
         return visit(cell, opaque);
     }
     for part in cell.parts() {
