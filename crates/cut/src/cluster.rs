@@ -12,6 +12,8 @@ use pbgi_math::{
 pub struct Piece {
     /// The plane: its normal over its signed distance from the receiver.
     pub inverse: Vec3,
+    /// Whether its backs are seen.
+    pub is_back: bool,
     /// Whether it stands for surfaces of all orientations, which lie anywhere in the node's box, and faces the receiver.
     pub is_round: bool,
     /// Which share of what the stencil leaves of the plane's section with the node's box it covers: from here …
@@ -173,6 +175,7 @@ impl Cluster {
             let added = if seen.is_loose { [0.0; 3] } else { added };
             *piece = Piece {
                 inverse: seen.inverse,
+                is_back: !seen.is_front,
                 is_round: !seen.is_flat,
                 start: 0.0,
                 end: seen.opacity,

@@ -16,6 +16,10 @@ const PIECE_DEPTH: f32 = 0.15;
 /// The same for a surfel and its radius: disks, which reach over each other, stand before their neighbors on a convex surface.
 const SURFEL_DEPTH: f32 = 0.5;
 
+/// How much nearer, as a share of the distance, what hides nothing of a back may be: as much as rounding moves what lies at one place. Before the back of
+/// a thin thing lies its front, which is no neighbor: as if it were, a wall with frames would be half as bright as it is.
+const BACK_TOLERANCE: f32 = 1e-4;
+
 /// How much nearer, as a share of the distance, neighbors may be whose planes lie apart by this share of the extent: of a piece with
 /// this extent over its distance, seen at this cosine. Where the plane is seen at a grazing angle, a small step along its normal is a
 /// long one along the line of sight.
@@ -28,7 +32,9 @@ fn neighbor_tolerance(depth: f32, spread: f32, cosine: f32) -> f32 {
 /// distance do not hide them, though they may cover the same sample.
 #[inline(always)]
 fn piece_tolerance(cluster: &Cluster, piece: &Piece) -> f32 {
-    if piece.is_round {
+    if piece.is_back {
+        BACK_TOLERANCE
+    } else if piece.is_round {
         cluster.spread
     } else {
         neighbor_tolerance(PIECE_DEPTH, cluster.spread, piece.cosine)
@@ -169,7 +175,11 @@ pub(crate) fn surfel_ink(seen: &SurfelSeen<'_>, outline: &Outline) -> Ink {
         veil: Veil { start: 0.0, end: opacity, seed: seen.seed },
         solid_angle: surfel_solid_angle(seen),
         radiance: if cosine > 0.0 { surfel.radiance } else { [0.0; 3] },
-        tolerance: neighbor_tolerance(SURFEL_DEPTH, extent / distance, cosine.abs()),
+        tolerance: if cosine > 0.0 {
+            neighbor_tolerance(SURFEL_DEPTH, extent / distance, cosine)
+        } else {
+            BACK_TOLERANCE
+        },
         lamp: None,
     }
 }
