@@ -299,3 +299,42 @@ fn a_ledge_of_rectangles_has_the_form_factor_of_a_rectangle() {
     assert!((tiled - 1.015).abs() < 0.025, "{tiled}");
     assert!((round - 1.0).abs() > 0.05, "{round}");
 }
+
+/// Thin boxes before the walls of a closed room, all of one radiance: wherever one looks, one sees a front. The backs of the boxes lie closely behind their
+/// fronts, and closely before the walls, and show nothing.
+#[test]
+fn thin_boxes_before_walls_take_none_of_their_light() {
+    let mut surfels = closed_room(Vec3::splat(2.0), 20, 1.0, SurfelForm::Rectangles);
+    for index in 0..6 * 25 {
+        let (axis, sign) = (index % 3, if index % 6 < 3 { 1.0 } else { -1.0 });
+        let [x, y, z] = [axis, (axis + 1) % 3, (axis + 2) % 3].map(|axis| Vec3::AXES[axis]);
+        let place = |i: usize| i as f32 * 0.6 - 1.2;
+        let middle = x * (sign * 1.92) + y * place(index / 6 % 5) + z * place(index / 30);
+        // 0.02 thick, 0.3 wide: faces and rims.
+        for side in [1.0, -1.0] {
+            let face = Surfel::new(middle + x * (0.01 * side), x * side, 0.15 * 2f32.sqrt(), 0.09);
+            surfels.push(face.with_tile(y, 1.0).with_radiance([1.0; 3]));
+            for (normal, along) in [(y, z), (z, y)] {
+                let rim = Surfel::new(
+                    middle + normal * (0.15 * side),
+                    normal * side,
+                    0.15f32.hypot(0.01),
+                    0.006,
+                );
+                surfels.push(rim.with_tile(along, 15.0).with_radiance([1.0; 3]));
+            }
+        }
+    }
+    let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
+    for (solid_angle_sr, raster_edge) in [(0.0, 16), (0.0, 8), (0.04, 16), (0.1, 8)] {
+        let settings = GatherSettings { solid_angle_sr, raster_edge, ..GatherSettings::default() };
+        let (count, mut sum) = (60, 0.0);
+        for (i, normal) in sphere_directions(count).enumerate() {
+            let f = |k: usize| ((i * k) % 37) as f32 / 37.0 * 2.4 - 1.2;
+            let position = Vec3::new(f(5), f(11), f(17));
+            let found = gather(&octree, &settings, Receiver::diffuse(position, normal));
+            sum += found.surface_irradiance[0] * FRAC_1_PI / count as f32;
+        }
+        assert!((sum - 1.0).abs() < 0.005, "{solid_angle_sr} sr, {raster_edge} texels: {sum}");
+    }
+}

@@ -175,6 +175,7 @@ pub(crate) fn surfel_ink(seen: &SurfelSeen<'_>, outline: &Outline) -> Ink {
         veil: Veil { start: 0.0, end: opacity, seed: seen.seed },
         solid_angle: surfel_solid_angle(seen),
         radiance: if cosine > 0.0 { surfel.radiance } else { [0.0; 3] },
+        is_back: cosine <= 0.0,
         tolerance: if cosine > 0.0 {
             neighbor_tolerance(SURFEL_DEPTH, extent / distance, cosine)
         } else {
@@ -188,7 +189,9 @@ pub(crate) fn surfel_ink(seen: &SurfelSeen<'_>, outline: &Outline) -> Ink {
 #[inline(always)]
 pub(crate) fn piece_ink(cluster: &Cluster, piece: &Piece, veil: Veil) -> Ink {
     let Piece { solid_angle, radiance, .. } = *piece;
-    Ink { veil, solid_angle, radiance, tolerance: piece_tolerance(cluster, piece), lamp: None }
+    let is_back = piece.is_back && radiance == [0.0; 3];
+    let tolerance = piece_tolerance(cluster, piece);
+    Ink { veil, solid_angle, radiance, is_back, tolerance, lamp: None }
 }
 
 /// Where a piece of a cluster lies, and which share of it is there.

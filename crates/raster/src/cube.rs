@@ -29,6 +29,8 @@ pub struct Ink {
     pub solid_angle: f32,
     /// Radiance toward the receiver, 0 for backs.
     pub radiance: [f32; 3],
+    /// Whether these are black backs: they show where nothing is before them, whatever is drawn later.
+    pub is_back: bool,
     /// Surfaces nearer by no more than this share of the distance are its own neighbors, and do not hide it.
     pub tolerance: f32,
     /// Number of the lamp it is a part of, below [`LAMPS`]; none if it is no lamp. Lamps keep their flux whatever the texels' size.
@@ -164,6 +166,8 @@ pub struct CubeRaster {
     lamps: [LampSeen; LAMPS],
     /// Samples of each texel that lamps cover.
     of_lamps: Vec<u16>,
+    /// Samples of each texel before which nothing but a black back is.
+    of_backs: Vec<u16>,
     normal: Vec3,
     /// Samples of each texel that are covered, and those below the horizon.
     covered: Vec<u16>,
@@ -211,6 +215,7 @@ impl CubeRaster {
             keeps_depths: shines,
             lamps: [LampSeen::default(); LAMPS],
             of_lamps: vec![0; if shines { 6 * n * stride } else { 0 }],
+            of_backs: vec![0; if shines { 6 * n * stride } else { 0 }],
             normal: Vec3::Z,
             covered: vec![ALL; 6 * n * stride],
             above: vec![0; 6 * n * stride],
@@ -256,6 +261,7 @@ impl CubeRaster {
         self.rims.fill(Rims::default());
         self.lamps = [LampSeen::default(); LAMPS];
         self.of_lamps.fill(0);
+        self.of_backs.fill(0);
         self.normal = normal;
         for face in CubeFace::ALL {
             let horizon = FaceHorizon::new(normal, face, self.step);
@@ -418,7 +424,7 @@ impl CubeRaster {
     pub fn draw<L: Lanes, S: Shape>(&mut self, shape: &S, ink: &Ink, toward: Vec3) {
         self.hits.clear();
         let met = self.cover::<L, S>(shape, ink);
-        if !self.shines {
+        if !self.shines || ink.is_back {
             return;
         }
         if let Some(lamp) = ink.lamp
@@ -516,7 +522,7 @@ impl CubeRaster {
     fn cover<L: Lanes, S: Shape>(&mut self, shape: &S, ink: &Ink) -> u32 {
         let Self { n, stride, shines, keeps_depths, covered, above, rims, depths, .. } = self;
         let Self { open, rows, looked_at, directions: [across, along], hits, .. } = self;
-        let Self { lamps, of_lamps, .. } = self;
+        let Self { lamps, of_lamps, of_backs, .. } = self;
         let (face_texels, shines, keeps_depths) = (*n * *stride, *shines, *keeps_depths);
         let (stride_log2, in_row) = (rows.stride_log2, *stride - 1);
         let opaque = ink.veil.is_opaque();
@@ -546,7 +552,15 @@ impl CubeRaster {
                 let (before, depths) = (covered[index], &mut depths[index]);
                 let inked = if opaque { met } else { met & ink.veil.samples(index) };
                 let new = inked & !before;
-                if shines {
+                if shines && ink.is_back {
+                    of_backs[index] |= new;
+                } else if shines {
+                    let backs = met & of_backs[index];
+                    if backs != 0 {
+                        let over = backs & L::bits(L::load(depths).le(w));
+                        of_backs[index] &= !over;
+                        w.store_where(over, depths);
+                    }
                     let hidden = before & L::bits(w.mul(nearer).le(L::load(depths)));
                     let visible = met & above[index] & !hidden;
                     if let Some(lamp) = ink.lamp {
@@ -704,13 +718,28 @@ impl CubeRaster {
             for lane in (0..LANES).filter(|lane| lit >> lane & 1 != 0) {
                 let light = &self.lights[start + lane];
                 let whole = covered[lane] == ALL;
-                let radiance = if whole { light.made_whole() } else { light.radiance };
+                let radiance = if whole {
+                    light.made_whole(self.backs_share(start + lane))
+                } else {
+                    light.radiance
+                };
                 for (plane, light) in chunk.radiance.iter_mut().zip(radiance) {
                     plane[lane] = light;
                 }
             }
         }
         Some(chunk)
+    }
+
+    /// Share of a lit texel before which nothing but black backs is, weighted as light is.
+    #[inline(always)]
+    fn backs_share(&self, index: usize) -> f32 {
+        let backs = self.of_backs[index];
+        if backs == 0 {
+            return 0.0;
+        }
+        let weight = self.lights[index].tilt.sample.mean(backs);
+        backs.count_ones() as f32 * weight / divisor(self.above[index])
     }
 
     /// Whether any piece may carry light.

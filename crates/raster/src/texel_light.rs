@@ -27,10 +27,10 @@ impl TexelLight {
         Self { radiance, weight: 0.0, lamp_weight: 0.0, lamp_radiance, tilt }
     }
 
-    /// Radiance of a texel that is covered wholly: its surfaces share what lamps leave of it.
+    /// Radiance of a texel that is covered wholly, by backs to this share: its other surfaces share what lamps and backs leave of it.
     #[inline(always)]
-    pub fn made_whole(&self) -> [f32; 3] {
-        let rest = larger(1.0 - self.lamp_weight, 0.0);
+    pub fn made_whole(&self, backs: f32) -> [f32; 3] {
+        let rest = larger(1.0 - self.lamp_weight - backs, 0.0);
         let scale = rest / larger(self.weight, 1e-6);
         self.radiance.map(|sum| sum * scale)
     }

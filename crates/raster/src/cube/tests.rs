@@ -8,7 +8,8 @@ use pbgi_math::Aabb;
 use std::f32::consts::PI;
 
 fn ink(solid_angle: f32, light: f32) -> Ink {
-    Ink { veil: Veil::OPAQUE, solid_angle, radiance: [light; 3], tolerance: 0.01, lamp: None }
+    let radiance = [light; 3];
+    Ink { veil: Veil::OPAQUE, solid_angle, radiance, tolerance: 0.01, ..Ink::default() }
 }
 
 /// Draws the part of the plane through `point` with `normal` in a box.
