@@ -268,7 +268,7 @@ pub(crate) mod tests {
 
         fn run<L: Lanes>(self) {
             let (veil, radiance) = (Veil::OPAQUE, [3.0; 3]);
-            let ink = Ink { veil, radiance, solid_angle: 1.0, tolerance: 0.01, lamp: None };
+            let ink = Ink { veil, radiance, solid_angle: 1.0, tolerance: 0.01, ..Ink::default() };
             self.0.clear::<L>(self.1);
             for &(inverse, low, high) in self.2 {
                 self.0.look_at_box(low, high);
