@@ -65,6 +65,33 @@ fn smooth_double_sided_meshes_have_no_black_spots() {
     }
 }
 
+/// A two-sided sheet that is bent up a little, seen from above by receivers beside its folds, which rounding has moved behind it by a millionth: the other
+/// side of the piece behind the fold rises over their own piece's plane, and hid all of the sky.
+#[test]
+fn receivers_beside_folds_of_sheets_are_open() {
+    let place = |i: i32, k: i32| {
+        let [x, z] = [i, k].map(|i| i as f32 * 0.1 - 0.4);
+        Vec3::new(x, 0.05 * (x * x + z * z), z)
+    };
+    let mut triangles = Vec::new();
+    for (i, k) in (0..64).map(|cell| (cell % 8, cell / 8)) {
+        let [a, b, c, d] =
+            [(i, k), (i, k + 1), (i + 1, k + 1), (i + 1, k)].map(|(i, k)| place(i, k));
+        triangles.extend([[a, b, c], [a, c, d]]);
+    }
+    let surfels: Vec<Surfel> = triangles.iter().flat_map(|t| both_sides(*t)).collect();
+    let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
+    let mut gatherer = Gatherer::new(octree.reader(), &GatherSettings::default(), None);
+    for [a, b, c] in triangles {
+        let plane = (b - a).cross(c - a).normalize();
+        for [u, v] in [[0.49, 0.5], [0.01, 0.49], [0.49, 0.01]] {
+            let position = a * u + b * v + c * (1.0 - u - v) - plane * 1e-6;
+            let found = gatherer.gather(&Receiver::diffuse(position, plane)).unwrap();
+            assert!(found.ambient_occlusion > 0.97, "{position}: {}", found.ambient_occlusion);
+        }
+    }
+}
+
 /// Two sheets that face each other, a hundredth of a micropolygon apart and more: between them it is dark.
 #[test]
 fn between_two_close_sheets_it_is_dark() {
