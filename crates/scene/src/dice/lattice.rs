@@ -319,10 +319,10 @@ impl Cell {
         [corner, corner + u, corner + v, corner + u + v]
     }
 
-    /// Calls `visit` with the place along its edges, and the barycentric coordinates, of the middles of equal parts of the cell: `edge` × `edge` of a
-    /// rectangle, and about as many for its area of a triangle.
+    /// Calls `visit` with the barycentric coordinates of the middles of equal parts of the cell: `edge` × `edge` of a rectangle, and about as many for its
+    /// area of a triangle.
     #[inline]
-    pub fn visit_grid(&self, edge: u32, mut visit: impl FnMut([f64; 2], DVec3)) {
+    pub fn visit_grid(&self, edge: u32, mut visit: impl FnMut(DVec3)) {
         let edge = if self.is_triangle { (3 * edge).div_ceil(4) } else { edge };
         let [u, v] = self.edges.map(|step| step.barycentric);
         let part = 1.0 / f64::from(edge);
@@ -336,15 +336,9 @@ impl Cell {
                         (f64::from(edge - column) - 1.0 / 3.0, f64::from(edge - row) - 1.0 / 3.0)
                     }
                 };
-                let (x, y) = (x * part, y * part);
-                visit([x, y], self.corner.barycentric + u * x + v * y);
+                visit(self.corner.barycentric + u * (x * part) + v * (y * part));
             }
         }
-    }
-
-    /// The position of a place along its edges.
-    pub fn position(&self, [x, y]: [f64; 2]) -> DVec3 {
-        self.corner.step(&self.edges[0], x).step(&self.edges[1], y).position
     }
 }
 
@@ -467,11 +461,11 @@ pub(super) mod tests {
                     assert_eq!(part.is_turned(cell.edges()[0]), cell.is_triangle && i == 3);
                     let within = |b: DVec3| b.min_element() > -1e-9;
                     let (mut count, mut sum) = (0, DVec3::ZERO);
-                    part.visit_grid(8, |place, b| {
+                    part.visit_grid(8, |b| {
                         assert!(within(b), "{b}");
-                        (count, sum) = (count + 1, sum + part.position(place));
+                        (count, sum) = (count + 1, sum + b);
                     });
-                    let off = sum / f64::from(count) - part.center();
+                    let off = sum / f64::from(count) - part.barycentric();
                     let all = if part.is_triangle { 36 } else { 64 };
                     assert!(count == all && off.length() < 1e-6, "{off} of {count}");
                 }

@@ -10,15 +10,6 @@ pub(super) const ALPHA_GRID_MAX: u32 = 4;
 /// The same of one that has holes and is not quartered.
 pub(super) const ALPHA_GRID_LAST: u32 = 8;
 
-/// What of a micropolygon is no hole.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Opaque {
-    /// Its share.
-    pub share: f64,
-    /// Its middle.
-    pub center: DVec3,
-}
-
 /// How far an attribute of a parallelogram may be off from linear, as a share of its span.
 const LINEAR_TOLERANCE: f32 = 1e-4;
 
@@ -139,31 +130,23 @@ impl TriangleSurface<'_> {
         texture.alpha_max_within(min, max) * vertex < cutoff
     }
 
-    /// What of `cell` is not a hole, from up to `grid_max` × `grid_max` samples of the alpha.
-    pub fn opaque(&self, cell: &Cell, grid_max: u32) -> Opaque {
-        let whole = || Opaque { share: 1.0, center: cell.center() };
-        let Some(cutoff) = self.surface.material.alpha_cutoff else { return whole() };
+    /// Share of `cell` that is not a hole, from up to `grid_max` × `grid_max` samples of the alpha.
+    pub fn opaque_fraction(&self, cell: &Cell, grid_max: u32) -> f64 {
+        let Some(cutoff) = self.surface.material.alpha_cutoff else { return 1.0 };
         let texture = self.surface.base_color;
         // Two samples per texel see every edge that bilinear lookup can show.
         let grid = texture.map_or(1.0, |t| 2.0 * self.texel_footprint(t, cell));
         let grid = (grid.ceil() as u32).clamp(1, grid_max);
         let fades = self.alphas != [self.alphas[0]; 3];
         let grid = if fades { grid_max } else { grid };
-        let (mut opaque, mut total, mut sum) = (0u32, 0u32, [0f64; 2]);
-        cell.visit_grid(grid, |[x, y], barycentric| {
+        let (mut opaque, mut total) = (0u32, 0u32);
+        cell.visit_grid(grid, |barycentric| {
             let texel = texture.map_or(1.0, |t| t.sample_alpha(self.uv(barycentric)));
             let alpha = texel * self.alpha(barycentric);
             total += 1;
-            if alpha >= cutoff {
-                opaque += 1;
-                sum = [sum[0] + x, sum[1] + y];
-            }
+            opaque += u32::from(alpha >= cutoff);
         });
-        if opaque == total {
-            return whole();
-        }
-        let share = f64::from(opaque) / f64::from(total);
-        Opaque { share, center: cell.position(sum.map(|sum| sum / f64::from(opaque.max(1)))) }
+        f64::from(opaque) / f64::from(total)
     }
 
     fn uv(&self, barycentric: DVec3) -> Vec2 {

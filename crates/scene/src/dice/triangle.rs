@@ -1,7 +1,7 @@
 //! One triangle of an instance, or two as one rectangle, from world positions to surfels.
 
 use super::lattice::{Cell, Lattice, Lattices, SKEW_COSINE_MAX};
-use super::surface::{ALPHA_GRID_LAST, ALPHA_GRID_MAX, Opaque, Shade, Surface, TriangleSurface};
+use super::surface::{ALPHA_GRID_LAST, ALPHA_GRID_MAX, Shade, Surface, TriangleSurface};
 use super::{RUN_TRIANGLES, TwoSided};
 use crate::{Instance, Mesh, Scene};
 use pbgi_cloud::{Surfel, SurfelFlags};
@@ -375,28 +375,26 @@ impl DicedPatch<'_> {
         if self.masked {
             let surface = self.surface;
             visit_opaque(&surface, cell, self.part_area_min, &mut |part, coarse| {
-                let fine = || surface.opaque(part, ALPHA_GRID_LAST);
-                let opaque = if coarse.share < 1.0 { fine() } else { coarse };
+                let fine = || surface.opaque_fraction(part, ALPHA_GRID_LAST);
+                let opaque = if coarse < 1.0 { fine() } else { coarse };
                 // What was counted is there, however little of it more samples find.
-                let opaque = if opaque.share > 0.0 { opaque } else { coarse };
-                self.push_opaque(piece, part, opaque, out);
+                self.push_opaque(piece, part, if opaque > 0.0 { opaque } else { coarse }, out);
             });
         } else {
-            let opaque = Opaque { share: 1.0, center: cell.center() };
-            self.push_opaque(piece, cell, opaque, out);
+            self.push_opaque(piece, cell, 1.0, out);
         }
     }
 
-    /// Appends the surfels of what of a cell is no hole.
+    /// Appends the surfels of a cell of which the share `opaque` is no hole.
     #[inline]
-    fn push_opaque(&mut self, piece: usize, cell: &Cell, opaque: Opaque, out: &mut Vec<Surfel>) {
+    fn push_opaque(&mut self, piece: usize, cell: &Cell, opaque: f64, out: &mut Vec<Surfel>) {
         if !self.uniform {
             let shade = self.surface.shade(cell);
             self.set_shade(shade);
         }
-        let position = opaque.center.as_vec3().to_array();
+        let position = cell.center().as_vec3().to_array();
         // Slivers may vanish in f32.
-        let area = ((cell.area() * opaque.share) as f32).max(f32::MIN_POSITIVE);
+        let area = ((cell.area() * opaque) as f32).max(f32::MIN_POSITIVE);
         for (k, side) in self.sides[..self.side_count].iter().enumerate() {
             let (Outline { orientation, flags }, radius) = self.outlines[piece].of(cell, area, k);
             // What is so thin that its shape overflows is of no shape.
@@ -420,13 +418,13 @@ fn visit_opaque(
     surface: &TriangleSurface<'_>,
     cell: &Cell,
     area_min: f64,
-    visit: &mut dyn FnMut(&Cell, Opaque),
+    visit: &mut dyn FnMut(&Cell, f64),
 ) {
-    let opaque = surface.opaque(cell, ALPHA_GRID_MAX);
-    if opaque.share == 0.0 {
+    let opaque = surface.opaque_fraction(cell, ALPHA_GRID_MAX);
+    if opaque == 0.0 {
         return;
     }
-    if opaque.share == 1.0 || cell.area() <= area_min {
+    if opaque == 1.0 || cell.area() <= area_min {
         return visit(cell, opaque);
     }
     for part in cell.parts() {
