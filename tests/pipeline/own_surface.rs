@@ -116,8 +116,8 @@ fn between_two_close_sheets_it_is_dark() {
     }
 }
 
-/// A lattice of disks in a square of edge 1 at a height, which looks up, each off it by up to so much.
-fn rough_sheet(height: f32, noise: f32) -> Vec<Surfel> {
+/// A lattice of disks in a square of edge 1, which looks up, each off it by up to so much.
+fn rough_sheet(noise: f32) -> Vec<Surfel> {
     let cells = 32i32;
     let edge = 1.0 / cells as f32;
     let place = |i: i32| (i as f32 + 0.5) * edge - 0.5;
@@ -125,7 +125,7 @@ fn rough_sheet(height: f32, noise: f32) -> Vec<Surfel> {
         .map(|i| {
             // Golden ratios: as if at random, and as many above as below.
             let off = noise * (2.0 * (i as f32 * 0.618_034).fract() - 1.0);
-            let center = Vec3::new(place(i % cells), height + off, place(i / cells));
+            let center = Vec3::new(place(i % cells), off, place(i / cells));
             Surfel::new(center, Vec3::Y, 0.8 * edge, edge * edge)
         })
         .collect()
@@ -135,7 +135,7 @@ fn rough_sheet(height: f32, noise: f32) -> Vec<Surfel> {
 #[test]
 fn receivers_on_rough_points_are_open_and_behind_them_dark() {
     let radius = 0.8 / 32.0;
-    let surfels = rough_sheet(0.0, 0.1 * radius);
+    let surfels = rough_sheet(0.1 * radius);
     let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
     let mut gatherer = Gatherer::new(octree.reader(), &GatherSettings::default(), None);
     let mut open = |place: Vec3| {

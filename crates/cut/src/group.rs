@@ -101,16 +101,16 @@ impl KnownGroup {
     }
 
     /// Octants of the children some of whose disks may reach over a place, relative to the file's origin.
-    pub fn octants_around(&self, place: Vec3) -> impl Iterator<Item = u8> + use<> {
-        let mut found = 0u8;
+    pub fn octants_around(&self, place: Vec3) -> u8 {
+        let margin = self.cover_margin;
+        let mut found = 0;
         for octant in (0..CHILDREN_MAX as u8).filter(|octant| self.octants >> octant & 1 != 0) {
             let Aabb { min, max } = self.bounds(self.index(octant));
-            let margin = self.cover_margin;
             if place.cmpge(min - margin).all() && place.cmple(max + margin).all() {
                 found |= 1 << octant;
             }
         }
-        (0..CHILDREN_MAX as u8).filter(move |octant| found >> octant & 1 != 0)
+        found
     }
 
     /// Whether what is in a child's box, which lies below the horizon, may rise over it by more than [`RISE`], as rounding has moved the box. A receiver in

@@ -4,7 +4,7 @@ use crate::group::Boxes;
 use crate::known::{KnownLeaf, NodeReader};
 use crate::own_surface::{is_own_surface, least_distance};
 use crate::stats::CutStats;
-use crate::walk::{CutReceiver, CutVisitor, SurfelSeen};
+use crate::walk::{CutReceiver, CutScratch, CutVisitor, SurfelSeen};
 use pbgi_format::CHILDREN_MAX;
 
 /// Gives the visitor the surfels of a leaf that the receiver may see.
@@ -14,10 +14,11 @@ pub(crate) fn take_leaf<V: CutVisitor>(
     leaf: KnownLeaf,
     receiver: &CutReceiver,
     visitor: &mut V,
-    order: &mut Vec<u64>,
+    scratch: &mut CutScratch,
     stats: &mut CutStats,
 ) {
     let (centers, surfels) = nodes.surfels(leaf);
+    let CutScratch { order, doubts_own_surface, .. } = scratch;
     let position = receiver.view.position;
     order.clear();
     for (index, center) in centers.iter().enumerate() {
@@ -40,9 +41,7 @@ pub(crate) fn take_leaf<V: CutVisitor>(
             let (distance2, index) = (f32::from_bits((key >> 32) as u32), *key as u32);
             let surfel = &surfels[index as usize];
             let center = centers[index as usize] - position;
-            if distance2 == 0.0
-                || is_own_surface(surfel, center, receiver, &mut stats.doubts_own_surface)
-            {
+            if distance2 == 0.0 || is_own_surface(surfel, center, receiver, doubts_own_surface) {
                 continue;
             }
             let (seed, distance_min) = (leaf.seed(index), least_distance(surfel, center, receiver));

@@ -1,9 +1,10 @@
 //! What of the surfels next to a receiver is its own surface, which it does not see.
 
-use crate::known::{Below, NodeReader};
+use crate::known::{Below, GroupIndex, NodeReader};
 use crate::stats::CutStats;
 use crate::surfel::{CutSurfel, SurfelShape};
 use crate::walk::CutReceiver;
+use pbgi_format::CHILDREN_MAX;
 use pbgi_math::{Vec3, larger};
 use pbgi_store::StoreError;
 
@@ -82,16 +83,16 @@ pub(crate) fn is_own_surface(
     let is_facing = !surfel.isotropic && tilt < 0.0;
     if is_facing || receiver.surfel_bias == 0.0 {
         // It is a side of the receiver's own sheet if rounding may have moved it over the receiver.
-        let across = (center.length_squared() - depth * depth).max(0.0).sqrt();
+        let across = across(center, depth).min(surfel.radius);
         let over = if is_facing { -depth } else { depth };
-        let is_at_it = over <= 2.0 * surfel.rounding(across.min(surfel.radius));
+        let is_at_it = over <= 2.0 * surfel.rounding(across);
         if top <= 0.0 || (top <= 2.0 * rounding && is_at_it) {
             return true;
         }
     } else {
         let least = larger(receiver.surfel_bias * surfel.radius, 2.0 * rounding);
         if height <= least && top <= least {
-            *doubts |= is_over(surfel, center, plane) == Some(true);
+            *doubts |= height_over(surfel, center, plane).is_some_and(|over| over > 0.0);
             return true;
         }
     }
@@ -103,16 +104,24 @@ pub(crate) fn is_own_surface(
     height <= 0.0 && !surfel.isotropic && (is_fold || is_behind)
 }
 
-/// Whether rounding may have moved the receiver out of a surfel's plane, which its center is so far behind.
+/// Distance across a surfel's normal between its center and the receiver, which lies so far behind its plane.
 #[inline(always)]
-fn is_in_plane(surfel: &CutSurfel, center: Vec3, depth: f32) -> bool {
-    let across = (center.length_squared() - depth * depth).max(0.0).sqrt();
-    depth.abs() <= 2.0 * surfel.rounding(across)
+fn across(center: Vec3, depth: f32) -> f32 {
+    (center.length_squared() - depth * depth).max(0.0).sqrt()
 }
 
-/// Least distance at which a disk is hit, so that a surface does not shadow itself.
+/// Whether rounding may have moved the receiver out of a surfel's plane, which it lies so far behind.
+#[inline(always)]
+fn is_in_plane(surfel: &CutSurfel, center: Vec3, depth: f32) -> bool {
+    depth.abs() <= 2.0 * surfel.rounding(across(center, depth))
+}
+
+/// Least distance at which a surfel is hit, so that a surface of disks does not shadow itself.
 #[inline(always)]
 pub(crate) fn least_distance(surfel: &CutSurfel, center: Vec3, receiver: &CutReceiver) -> f32 {
+    if !matches!(surfel.shape, SurfelShape::Disk { .. }) {
+        return 0.0;
+    }
     let plane = receiver.view.plane;
     let is_alike = !surfel.isotropic && surfel.normal.dot(plane) > OWN_SURFACE_COSINE;
     let (height, depth) = (plane.dot(center), surfel.normal.dot(center));
@@ -121,25 +130,25 @@ pub(crate) fn least_distance(surfel: &CutSurfel, center: Vec3, receiver: &CutRec
     if may_be_own { OWN_SURFACE_RADII * surfel.radius } else { 0.0 }
 }
 
-/// Whether a disk that looks the receiver's way, and that its normal leads through, lies over it: farther before it than a surface bends that has both
-/// normals, whose tangents between the two are no steeper than they are to each other, and than rounding explains. None of what is no such disk.
+/// How much farther a disk that looks the receiver's way, and whose normal leads through the disk to the receiver, lies before it than rounding explains and
+/// the bend of a surface that has both normals, whose tangents between the two are no steeper than they are to each other. None of what is no such disk.
 #[inline(always)]
-fn is_over(surfel: &CutSurfel, center: Vec3, plane: Vec3) -> Option<bool> {
+fn height_over(surfel: &CutSurfel, center: Vec3, plane: Vec3) -> Option<f32> {
     let tilt = surfel.normal.dot(plane);
     if surfel.isotropic || tilt < OWN_SURFACE_COSINE {
         return None;
     }
     let depth = center.dot(surfel.normal);
-    let across = (center.length_squared() - depth * depth).max(0.0).sqrt();
+    let across = across(center, depth);
     if across > surfel.radius {
         return None;
     }
     let bend = across * (1.0 - tilt * tilt).max(0.0).sqrt();
-    Some(depth > bend + 2.0 * surfel.rounding(across))
+    Some(depth - (bend + 2.0 * surfel.rounding(across)))
 }
 
-/// Whether a receiver lies on a surface of disks: whether any that looks its way and that its normal leads through lies at it or below, by no more than the
-/// bias.
+/// Whether a receiver lies on a surface of disks: whether any that looks its way, and whose normal leads through the disk to it, lies at it or below, by no
+/// more than the bias.
 ///
 /// # Errors
 ///
@@ -151,27 +160,40 @@ pub fn lies_on_disks(
     stats: &mut CutStats,
 ) -> Result<bool, StoreError> {
     let root = nodes.root(stats)?;
-    let mut groups = vec![root];
-    while let Some(at) = groups.pop() {
-        for octant in nodes.group(at).octants_around(receiver.view.position) {
-            match nodes.below(at, octant, stats)? {
-                Some(Below::Group(child)) => groups.push(child),
-                Some(Below::Leaf(leaf)) => {
-                    let (centers, surfels) = nodes.surfels(leaf);
-                    let supports = |(center, surfel): (&Vec3, &CutSurfel)| {
-                        let center = *center - receiver.view.position;
-                        let depth = center.dot(surfel.normal);
-                        matches!(surfel.shape, SurfelShape::Disk { .. })
-                            && is_over(surfel, center, receiver.view.plane) == Some(false)
-                            && depth >= -receiver.surfel_bias * surfel.radius
-                    };
-                    if centers.iter().zip(surfels).any(supports) {
-                        return Ok(true);
-                    }
-                }
-                None => {}
+    lies_on_disks_of(nodes, root, receiver, stats)
+}
+
+/// The same of the disks below a group; no deeper than the tree.
+fn lies_on_disks_of(
+    nodes: &mut NodeReader<'_>,
+    at: GroupIndex,
+    receiver: &CutReceiver,
+    stats: &mut CutStats,
+) -> Result<bool, StoreError> {
+    let around = nodes.group(at).octants_around(receiver.view.position);
+    for octant in (0..CHILDREN_MAX as u8).filter(|octant| around >> octant & 1 != 0) {
+        let carries = match nodes.below(at, octant, stats)? {
+            Some(Below::Group(child)) => lies_on_disks_of(nodes, child, receiver, stats)?,
+            Some(Below::Leaf(leaf)) => {
+                let (centers, surfels) = nodes.surfels(leaf);
+                centers
+                    .iter()
+                    .zip(surfels)
+                    .any(|(center, surfel)| carries(surfel, *center, receiver))
             }
+            None => false,
+        };
+        if carries {
+            return Ok(true);
         }
     }
     Ok(false)
+}
+
+/// Whether the receiver lies on a surfel that is a disk.
+fn carries(surfel: &CutSurfel, center: Vec3, receiver: &CutReceiver) -> bool {
+    let center = center - receiver.view.position;
+    matches!(surfel.shape, SurfelShape::Disk { .. })
+        && height_over(surfel, center, receiver.view.plane).is_some_and(|over| over <= 0.0)
+        && center.dot(surfel.normal) >= -receiver.surfel_bias * surfel.radius
 }

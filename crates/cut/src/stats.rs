@@ -51,8 +51,6 @@ pub struct CutStats {
     pub culled_opaque: u64,
     /// Pages asked for, by level of the tree.
     pub levels: [LevelStats; LEVELS],
-    /// Whether a disk was left out that belongs to the receiver's surface only if [`crate::lies_on_disks`] says so; who asks sets it back.
-    pub doubts_own_surface: bool,
 }
 
 impl CutStats {

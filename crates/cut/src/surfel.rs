@@ -1,7 +1,7 @@
 //! A surfel of a leaf: what of it does not depend on the receiver.
 
 use pbgi_format::LeafSurfel;
-use pbgi_math::{Aabb, Vec3};
+use pbgi_math::{Aabb, OCTAHEDRAL20_ERROR, OCTAHEDRAL24_ERROR, Vec3};
 use std::f32::consts::FRAC_1_PI;
 
 /// What a surfel stands for, relative to its center.
@@ -70,20 +70,14 @@ const DISK_RIM: f32 = 1.4;
 /// transparent instead.
 const NEEDLE_RATIO: f32 = 2.2;
 
-/// Angle, in radians, by which codes of normals are off at most, 0.07° in 24 bits, which rectangles and triangles have.
-const TILE_NORMAL_ERROR: f32 = 1.25e-3;
-
-/// The same of disks, which may have 20 bits: 0.25°.
-const DISK_NORMAL_ERROR: f32 = 4.4e-3;
-
 impl CutSurfel {
     /// How far codes of its place and its normal may move it along its normal at most, so far from its center.
     #[must_use]
     #[inline(always)]
     pub fn rounding(&self, across: f32) -> f32 {
         let angle = match self.shape {
-            SurfelShape::Disk { .. } => DISK_NORMAL_ERROR,
-            _ => TILE_NORMAL_ERROR,
+            SurfelShape::Disk { .. } => OCTAHEDRAL20_ERROR,
+            _ => OCTAHEDRAL24_ERROR,
         };
         self.place_error + angle * across
     }

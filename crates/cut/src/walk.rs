@@ -124,8 +124,10 @@ struct Frame {
 #[derive(Default)]
 pub struct CutScratch {
     frames: Vec<Frame>,
-    order: Vec<u64>,
+    pub(crate) order: Vec<u64>,
     cluster: Cluster,
+    /// Whether a disk was left out that belongs to the receiver's surface only if [`crate::lies_on_disks`] says so; who asks sets it back.
+    pub doubts_own_surface: bool,
 }
 
 /// Walks the octree, octants front to back, and gives the visitor every node or surfel of the cut.
@@ -264,7 +266,7 @@ impl<V: CutVisitor, T: Threshold> Walk<'_, '_, V, T> {
             Some(Below::Group(child)) => self.enter(child),
             Some(Below::Leaf(leaf)) => {
                 let Self { nodes, receiver, visitor, scratch, stats, .. } = self;
-                take_leaf(nodes, leaf, receiver, *visitor, &mut scratch.order, stats);
+                take_leaf(nodes, leaf, receiver, *visitor, scratch, stats);
             }
             // Nothing is behind what is missing.
             None => {

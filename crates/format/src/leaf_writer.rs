@@ -6,7 +6,9 @@ use crate::leaf::{
 };
 use crate::surfel::{RADIANCE, SIZE_RATIO, encode_albedo};
 use crate::{Channels, MiniFloat, SurfelLayout};
-use pbgi_math::{Aabb, FootCode, Vec3, decode_octahedral24, narrow_octahedral24};
+use pbgi_math::{
+    Aabb, FootCode, OCTAHEDRAL24_ERROR, Vec3, decode_octahedral24, narrow_octahedral24,
+};
 
 /// Most bits of a coordinate.
 const POSITION_WIDTH_MAX: u32 = 15;
@@ -27,9 +29,6 @@ const MIXED: StepsPerEdge = StepsPerEdge { tile: 256.0, mean: 64.0, least: 32.0 
 
 /// Steps from a surface to one that faces it or away from it: one step of 1/8 leaves each where it is to within a quarter of the way to the other.
 const STEPS_BETWEEN_SHEETS: f32 = 8.0;
-
-/// Angle, in radians, by which codes of normals are off at most: 0.07°.
-const NORMAL_ERROR: f32 = 1.25e-3;
 
 /// Half diagonals of two squares, in halves of an edge: centers farther from each other than that are those of surfels side by side.
 const HALF_DIAGONALS: f32 = 2.9;
@@ -371,6 +370,8 @@ pub struct LeafWriter {
     albedos: Listed,
     /// Coordinates of the leaf under way.
     places: Vec<[f32; 3]>,
+    /// Surfels of two orientations: heights along a normal, orientations, centers.
+    heights: Vec<(f32, u8, Vec3)>,
 }
 
 impl LeafWriter {
@@ -549,7 +550,8 @@ impl LeafWriter {
         let mean = half_edge(self.area_sum / self.surfels.len() as f32);
         let least = half_edge(layout.area.decode(self.area_span.least as u16));
         let tile = self.tile_edge.unwrap_or(f32::MAX);
-        let step = |steps: &StepsPerEdge| match self.rounding {
+        let rounding = self.rounding;
+        let step = |steps: &StepsPerEdge| match rounding {
             LeafRounding::Compact => {
                 (mean / steps.mean).min(least / steps.least).min(tile / steps.tile)
             }
@@ -582,45 +584,54 @@ impl LeafWriter {
 
     /// Makes the steps of coordinates so small that surfaces whose listed normals are opposed stay apart where one lies over the other: sides of a board, or
     /// two boards that nearly touch. Sides at one place, a sheet's, stay there.
-    fn keep_sheets_apart(&self, half_edge: f32, steps: &mut [f32; 3]) {
-        let normals: Vec<Vec3> =
-            self.orientations.values.iter().map(|o| decode_octahedral24(o & NORMAL_BITS)).collect();
+    fn keep_sheets_apart(&mut self, half_edge: f32, steps: &mut [f32; 3]) {
         let reach = STEPS_BETWEEN_SHEETS * steps.iter().fold(0f32, |a, b| a.max(*b));
-        let overlap2 = (HALF_DIAGONALS * half_edge).powi(2);
-        let mut heights = Vec::with_capacity(self.surfels.len());
-        for (first, normal) in normals.iter().enumerate() {
-            for second in first + 1..normals.len() {
-                if normal.dot(normals[second]) > OPPOSED_COSINE {
+        for first in 0..self.orientations.values.len() {
+            let normal = self.listed_normal(first);
+            for second in first + 1..self.orientations.values.len() {
+                if normal.dot(self.listed_normal(second)) > OPPOSED_COSINE {
                     continue;
                 }
-                heights.clear();
-                for (surfel, index) in self.surfels.iter().zip(&self.orientations.indices) {
-                    let index = usize::from(*index);
-                    if index == first || index == second {
-                        heights.push((normal.dot(surfel.center), index, surfel.center));
-                    }
-                }
-                heights.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
-                for (place, &(height, index, center)) in heights.iter().enumerate() {
-                    let one_place = 4.0 * f32::EPSILON * center.abs().max_element();
-                    for &(above, other, over) in &heights[place + 1..] {
-                        let apart = above - height;
-                        if apart > reach {
-                            break;
-                        }
-                        let across2 = (over - center).length_squared() - apart * apart;
-                        let one_plane = NORMAL_ERROR * across2.max(0.0).sqrt() + one_place;
-                        if index == other || apart <= one_plane || across2 > overlap2 {
-                            continue;
-                        }
-                        let most = apart / STEPS_BETWEEN_SHEETS;
-                        for (step, along) in steps.iter_mut().zip(normal.abs().to_array()) {
-                            *step = step.min(most / along.max(f32::MIN_POSITIVE));
-                        }
-                    }
+                let apart = self.least_apart(normal, [first, second], half_edge, reach);
+                let most = apart / STEPS_BETWEEN_SHEETS;
+                for (step, along) in steps.iter_mut().zip(normal.abs().to_array()) {
+                    *step = step.min(most / along.max(f32::MIN_POSITIVE));
                 }
             }
         }
+    }
+
+    fn listed_normal(&self, index: usize) -> Vec3 {
+        decode_octahedral24(self.orientations.values[index] & NORMAL_BITS)
+    }
+
+    /// Least distance along a normal between surfels of two listed orientations that lie over each other, and apart; infinite if none are within `reach`.
+    fn least_apart(&mut self, normal: Vec3, pair: [usize; 2], half_edge: f32, reach: f32) -> f32 {
+        let Self { surfels, orientations, heights, .. } = self;
+        heights.clear();
+        for (surfel, index) in surfels.iter().zip(&orientations.indices) {
+            if pair.contains(&usize::from(*index)) {
+                heights.push((normal.dot(surfel.center), *index, surfel.center));
+            }
+        }
+        heights.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+        let overlap2 = (HALF_DIAGONALS * half_edge).powi(2);
+        let mut least = f32::INFINITY;
+        for (place, &(height, index, center)) in heights.iter().enumerate() {
+            let one_place = 4.0 * f32::EPSILON * center.abs().max_element();
+            for &(above, other, over) in &heights[place + 1..] {
+                let apart = above - height;
+                if apart > reach {
+                    break;
+                }
+                let across2 = (over - center).length_squared() - apart * apart;
+                let one_plane = OCTAHEDRAL24_ERROR * across2.max(0.0).sqrt() + one_place;
+                if index != other && apart > one_plane && across2 <= overlap2 {
+                    least = least.min(apart);
+                }
+            }
+        }
+        least
     }
 
     fn choose_orientation(&mut self) -> OrientationMode {

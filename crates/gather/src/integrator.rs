@@ -165,10 +165,10 @@ impl<'a> Gatherer<'a> {
         let &Receiver { position, normal, plane, .. } = receiver;
         let place = CutReceiver::new(position, normal, plane, self.settings.bias);
         let before = *shading;
-        self.walker.stats.doubts_own_surface = false;
+        self.walker.scratch.doubts_own_surface = false;
         gather(self, &place, receiver, shading)?;
-        let Walker { nodes, stats, .. } = &mut self.walker;
-        if stats.doubts_own_surface && !lies_on_disks(nodes, &place, stats)? {
+        let Walker { nodes, scratch, stats } = &mut self.walker;
+        if scratch.doubts_own_surface && !lies_on_disks(nodes, &place, stats)? {
             *shading = before;
             gather(self, &place.on_no_disks(), receiver, shading)?;
         }
@@ -319,9 +319,10 @@ impl Walker<'_> {
         threshold: &T,
         visitor: &mut V,
     ) -> Result<(), StoreError> {
-        let before = self.stats;
+        let (before, doubts) = (self.stats, self.scratch.doubts_own_surface);
         self.pick(receiver, threshold, visitor)?;
         self.stats = CutStats { levels: self.stats.levels, ..before };
+        self.scratch.doubts_own_surface = doubts;
         Ok(())
     }
 }

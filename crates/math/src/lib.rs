@@ -22,8 +22,8 @@ pub use frame::Frame;
 pub use glam::{Affine3A, DMat3, DMat4, DVec2, DVec3, DVec4, Mat3, Mat4, Quat, Vec2, Vec3, Vec4};
 pub use morton::{MORTON_AXIS_BITS, MortonCode, RootCube};
 pub use octahedral::{
-    decode_octahedral, decode_octahedral20, decode_octahedral24, encode_octahedral,
-    encode_octahedral24, narrow_octahedral24,
+    OCTAHEDRAL20_ERROR, OCTAHEDRAL24_ERROR, decode_octahedral, decode_octahedral20,
+    decode_octahedral24, encode_octahedral, encode_octahedral24, narrow_octahedral24,
 };
 pub use rgbe::SharedExponent;
 pub use section::{central_section_area, section_area};

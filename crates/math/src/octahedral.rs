@@ -44,6 +44,12 @@ fn unfold(u: f32, v: f32) -> Vec3 {
     Vec3::new(x, y, z).normalize()
 }
 
+/// Angle, in radians, by which a unit vector's code of 24 bits is off at most: 0.07°.
+pub const OCTAHEDRAL24_ERROR: f32 = 1.25e-3;
+
+/// The same of a code of 20 bits: 0.25°.
+pub const OCTAHEDRAL20_ERROR: f32 = 4.4e-3;
+
 /// Octahedral code of a unit vector in 24 bits, 12 per axis. The angle to the decoded vector stays below 0.07°
 /// (`tests::octahedral_error_is_bounded`).
 #[must_use]

@@ -375,10 +375,13 @@ impl DicedPatch<'_> {
         if self.masked {
             let surface = self.surface;
             visit_opaque(&surface, cell, self.part_area_min, &mut |part, coarse| {
-                let fine = || surface.opaque_fraction(part, ALPHA_GRID_LAST);
-                let opaque = if coarse < 1.0 { fine() } else { coarse };
-                // What was counted is there, however little of it more samples find.
-                self.push_opaque(piece, part, if opaque > 0.0 { opaque } else { coarse }, out);
+                let mut opaque = coarse;
+                if coarse < 1.0 {
+                    let fine = surface.opaque_fraction(part, ALPHA_GRID_LAST);
+                    // What was counted is there, however little of it more samples find.
+                    opaque = if fine > 0.0 { fine } else { coarse };
+                }
+                self.push_opaque(piece, part, opaque, out);
             });
         } else {
             self.push_opaque(piece, cell, 1.0, out);
