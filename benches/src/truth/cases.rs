@@ -12,14 +12,16 @@ use pbgi_scene::{
 use std::path::PathBuf;
 
 /// All cases, in the order of the tables.
-pub const CASES: [&str; 11] = [
+pub const CASES: [&str; 13] = [
     "cornell",
     "cornell3",
     "sponza-overcast",
     "sponza-sunny",
+    "sponza1",
     "apartment",
     "bunny",
     "street",
+    "street1",
     "foliage",
     "fire30",
     "fire10",
@@ -177,24 +179,30 @@ pub fn make_case(name: &str, folders: &Folders) -> Result<Option<Case>> {
             };
             Some(Case { bounces, ..Case::new(name, title, made.scene, camera) })
         }
-        "street" | "foliage" => {
-            let made = procedural_scene(&format!("demo:{name}"))?;
+        "street" | "street1" | "foliage" => {
+            let made = procedural_scene(&format!("demo:{}", name.trim_end_matches('1')))?;
             let camera = made.scene.cameras[0].clone();
             let sun_direction = made.sun_direction;
             let parameters = SkyParameters { sun_direction, ..SkyParameters::default() };
-            let title = if name == "street" { "Street with a sun" } else { "Foliage with a sun" };
-            let case = Case::new(name, title, made.scene, camera);
+            let (bounces, title) = match name {
+                "street" => (0, "Street with a sun"),
+                "street1" => (1, "Street with a sun, one bounce"),
+                _ => (0, "Foliage with a sun"),
+            };
+            let case = Case { bounces, ..Case::new(name, title, made.scene, camera) };
             Some(case.under(synthetic_sky(2048, 1024, &parameters)))
         }
-        "sponza-overcast" | "sponza-sunny" => {
+        "sponza-overcast" | "sponza-sunny" | "sponza1" => {
             let Some(scene) = mesh("sponza_crytek.glb")? else { return Ok(None) };
             let (from, to) = (Vec3::new(-12.0, 2.5, -0.5), Vec3::new(5.0, 3.0, -0.5));
             let camera = Camera::look_at(from, to, Vec3::Y, 65f32.to_radians());
-            let (title, file) = match name {
-                "sponza-overcast" => ("Sponza, overcast", "potsdamer_platz_1k.hdr"),
-                _ => ("Sponza with a sun", "kloppenheim_05_1k.hdr"),
+            let (bounces, title, file) = match name {
+                "sponza-overcast" => (0, "Sponza, overcast", "potsdamer_platz_1k.hdr"),
+                "sponza-sunny" => (0, "Sponza with a sun", "kloppenheim_05_1k.hdr"),
+                _ => (1, "Sponza with a sun, one bounce", "kloppenheim_05_1k.hdr"),
             };
-            Some(Case::new(name, title, scene, camera).under(sky(file)?))
+            let case = Case { bounces, ..Case::new(name, title, scene, camera) };
+            Some(case.under(sky(file)?))
         }
         "apartment" => {
             let Some(scene) = mesh("dream_apartment.glb")? else { return Ok(None) };

@@ -89,8 +89,9 @@ pub fn bake_case(case: &Case, surfels: u64, path: &Path) -> Result<Octree> {
     let surfels = dice(&case.scene, surfels)?;
     let mut octree = bake(&surfels, path)?;
     let (mut lit, settings) = (surfels.clone(), GatherSettings::default());
+    let light = Setting::default().light(case)?;
     for _ in 0..case.bounces {
-        let reflected = reflected_radiance(&octree, None, &lit, &settings)?;
+        let reflected = reflected_radiance(&octree, light.as_ref(), &lit, &settings)?;
         let sum = surfels.iter().zip(&reflected).map(|(own, reflected)| {
             own.with_radiance(std::array::from_fn(|c| own.radiance[c] + reflected[c]))
         });

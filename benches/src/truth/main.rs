@@ -82,7 +82,7 @@ struct Arguments {
     /// Where to draw the curves.
     #[arg(long)]
     svg: Option<PathBuf>,
-    /// cornell, cornell3, sponza-overcast, sponza-sunny, apartment, bunny, street, foliage, fire30, fire10, scan.
+    /// cornell, cornell3, sponza-overcast, sponza-sunny, sponza1, apartment, bunny, street, street1, foliage, fire30, fire10, scan.
     #[arg(default_values_t = CASES.map(str::to_owned))]
     cases: Vec<String>,
 }

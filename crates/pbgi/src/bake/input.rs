@@ -327,7 +327,7 @@ impl Inputs {
                     *lights = scene.light_surfels(how.light_scale);
                     *light_count += if lights.is_empty() { 0 } else { scene.lights.len() };
                     let diced = dice(name, scene, DiceOptions { spacing, two_sided }, cancel)?;
-                    warnings.extend(dicing_warnings(name, &diced));
+                    warnings.extend(dicing_warnings(name, spacing, &diced));
                     if let Sampling::Spacing(length) = how.sampling {
                         warnings.extend(doubtful_spacing(name, scene, length));
                     }
@@ -440,12 +440,17 @@ fn all_holes_of(diced: &DicedScene<'_>) -> Option<String> {
     Some(format!("all surfaces are holes, by the alpha of their materials: {names}"))
 }
 
-fn dicing_warnings(name: &str, diced: &DicedScene<'_>) -> Vec<String> {
+/// Surfels over those asked for from which on there is a warning.
+const MORE_THAN_ASKED: f64 = 1.1;
+
+fn dicing_warnings(name: &str, spacing: Spacing, diced: &DicedScene<'_>) -> Vec<String> {
     let mut warnings = Vec::new();
     let count = diced.count().unwrap_or(0);
-    if diced.spacing().is_infinite() && count > 0 {
+    if let Spacing::Count(asked) = spacing
+        && count as f64 > MORE_THAN_ASKED * asked as f64
+    {
         warnings.push(format!(
-            "{name}: every triangle is one surfel, {count} in all, more than were asked for"
+            "{name}: {count} surfels, more than the {asked} asked for: every triangle is at least one, and the largest are cut"
         ));
     }
     if diced.degenerate_count() > 0 {

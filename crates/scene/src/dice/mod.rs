@@ -37,7 +37,8 @@ pub enum Spacing {
     /// micropolygon.
     Length(f32),
     /// As many surfels as this, within 2 % where the scene allows: there is at least one surfel per
-    /// triangle (two if it has two sides), and the counts of a few large triangles come in steps.
+    /// triangle (two if it has two sides), and a quarter more to cut the largest where their sizes differ; and the counts of a few large triangles
+    /// come in steps.
     Count(u64),
 }
 
@@ -200,7 +201,7 @@ impl<'a> DicedScene<'a> {
     }
 
     /// Longest micropolygon edge in scene units; infinite if [`Spacing::Count`] asked for fewer
-    /// surfels than there are triangles.
+    /// surfels than there are triangles, all of about one size.
     #[must_use]
     pub fn spacing(&self) -> f64 {
         self.spacing

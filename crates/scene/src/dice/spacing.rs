@@ -6,6 +6,11 @@ const EVALUATIONS_MAX: u32 = 8;
 /// How far from the target a count may stay, relative.
 const TOLERANCE: f64 = 0.02;
 
+/// Surfels beside one for each triangle, as a share of these, that are there at least: the largest triangles are cut with them, of which some are a hundred
+/// times as long as the mean, and a strip of ten meters hides nothing right a meter away. A street's occlusion has an error of 49 % with nothing and with a
+/// tenth, 2.2 % with a quarter, 2.1 % with a half and 2.3 % with twice as many surfels as triangles.
+const SPARE: f64 = 0.25;
+
 /// A spacing and the count it gives.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Evaluation {
@@ -17,10 +22,10 @@ pub(super) struct Evaluation {
 /// at most eight evaluations find. Small scenes have few triangles whose counts jump together: not
 /// every target can be met.
 ///
-/// Starts at √(`area` / `target`), then interpolates linearly in the logarithms of spacing and count
-/// between the nearest known spacings on both sides, or extrapolates as count ∝ spacing⁻².
-/// Deterministic. An infinite spacing is returned where even one surfel per triangle is too many. `count` gives `None` where counting
-/// would take too long: no finer spacing is then tried.
+/// Starts at √(`area` / `target`), then interpolates linearly in the logarithms of spacing and of what is more than one surfel per triangle
+/// between the nearest known spacings on both sides, or extrapolates as that ∝ spacing⁻².
+/// Deterministic. The target is at least one surfel per triangle and a quarter more. An infinite spacing is returned where one surfel per triangle
+/// is nearest to that. `count` gives `None` where counting would take too long: no finer spacing is then tried.
 pub(super) fn find_spacing(
     target: u64,
     area: f64,
@@ -29,11 +34,14 @@ pub(super) fn find_spacing(
     let evaluate = |spacing: f64| Some(Evaluation { spacing, count: count(spacing)? });
     let fewest = evaluate(f64::INFINITY);
     let fewest = fewest.unwrap_or(Evaluation { spacing: f64::INFINITY, count: target });
-    if target <= fewest.count || !area.is_normal() {
+    if !area.is_normal() {
         return fewest;
     }
+    let target = target.max((fewest.count as f64 * (1.0 + SPARE)) as u64).max(1);
     let ratio = |e: Evaluation| e.count.max(1) as f64 / target as f64;
     let error = |e: Evaluation| ratio(e).ln().abs();
+    let more_than_fewest = |count: u64| count.saturating_sub(fewest.count).max(1) as f64;
+    let more = |e: Evaluation| more_than_fewest(e.count) / more_than_fewest(target);
     let (mut fine, mut coarse): (Option<Evaluation>, Option<Evaluation>) = (None, None);
     let mut best = fewest;
     let mut spacing = (area / target as f64).sqrt();
@@ -57,11 +65,12 @@ pub(super) fn find_spacing(
         *(if ratio(now) > 1.0 { &mut fine } else { &mut coarse }) = Some(now);
         spacing = match (fine, coarse) {
             (Some(f), Some(c)) => {
-                let (above, below) = (ratio(f).ln(), -ratio(c).ln());
-                let t = (above / (above + below)).clamp(0.1, 0.9);
+                let (above, below) = (more(f).ln(), -more(c).ln());
+                let both = above + below;
+                let t = if both > 0.0 { (above / both).clamp(0.1, 0.9) } else { 0.5 };
                 f.spacing * (c.spacing / f.spacing).powf(t)
             }
-            _ => now.spacing * ratio(now).sqrt(),
+            _ => now.spacing * more(now).sqrt(),
         };
     }
     best
@@ -88,8 +97,11 @@ mod tests {
     }
 
     #[test]
-    fn targets_below_the_fewest_give_the_fewest() {
-        let found = find_spacing(10, 1.0, |h| Some(12 + (1.0 / (h * h)) as u64));
+    fn targets_below_the_fewest_cut_the_largest() {
+        let found = find_spacing(10, 1.0, |h| Some(1000 + (1.0 / (h * h)) as u64));
+        assert!(found.count.abs_diff(1250) <= 25 && found.spacing.is_finite(), "{found:?}");
+        // Where all are alike, none is.
+        let found = find_spacing(10, 1.0, |h| Some(if h < 0.1 { 24 } else { 12 }));
         assert_eq!(found, Evaluation { spacing: f64::INFINITY, count: 12 });
         assert_eq!(find_spacing(10, 0.0, |_| Some(0)).count, 0);
     }
