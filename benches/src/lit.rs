@@ -2,13 +2,14 @@
 
 use crate::{bake, dice};
 use anyhow::{Result, bail};
+use pbgi_bounce::surfel_irradiance;
 use pbgi_cloud::{CloudOptions, SliceSource, Surfel, open_cloud};
-use pbgi_gather::{GatherSettings, PreparedLight, Receiver};
+use pbgi_gather::{GatherSettings, PreparedLight};
 use pbgi_image::read_environment;
 use pbgi_light::{Environment, EnvironmentOptions, SkyParameters, synthetic_sky};
 use pbgi_math::Vec3;
 use pbgi_scene::{procedural_scene, read_scene};
-use pbgi_schedule::{ShadeOptions, shade_receivers};
+use pbgi_schedule::ShadeOptions;
 use pbgi_sort::{EstimateOptions, SortOptions, SortedSurfels, estimate_surfels, sort_surfels};
 use pbgi_store::Octree;
 use std::f32::consts::PI;
@@ -95,16 +96,12 @@ pub fn reflected_radiance(
     surfels: &[Surfel],
     settings: &GatherSettings,
 ) -> Result<Vec<[f32; 3]>> {
-    let place = |s: &Surfel| {
-        let normal = if s.is_isotropic() { settings.up } else { s.normal() };
-        Receiver::diffuse(s.center(), normal)
-    };
-    let places: Vec<Receiver> = surfels.iter().map(place).collect();
+    let places: Vec<&Surfel> = surfels.iter().collect();
     let options = ShadeOptions { gather: *settings, threads: 2, ..ShadeOptions::default() };
-    let (shadings, _) = shade_receivers(octree, light, &places, &options)?;
-    let reflect = |(surfel, shading): (&Surfel, &pbgi_gather::Shading)| {
-        let (albedo, irradiance) = (surfel.albedo_rgb(), shading.irradiance());
+    let found = surfel_irradiance(octree, light, &places, &options)?;
+    let reflect = |(surfel, irradiance): (&Surfel, [f32; 3])| {
+        let albedo = surfel.albedo_rgb();
         std::array::from_fn(|c| albedo[c] / PI * irradiance[c])
     };
-    Ok(surfels.iter().zip(&shadings).map(reflect).collect())
+    Ok(surfels.iter().zip(found).map(reflect).collect())
 }

@@ -3,7 +3,7 @@
 use crate::workspace::Workspace;
 
 /// Every crate in `crates/` with the workspace crates it uses, in the order of the layers.
-pub const EDGES: [(&str, &[&str]); 17] = [
+pub const EDGES: [(&str, &[&str]); 18] = [
     ("math", &[]),
     ("file", &[]),
     ("cloud", &["file", "math"]),
@@ -19,11 +19,12 @@ pub const EDGES: [(&str, &[&str]); 17] = [
     ("brdf", &["math", "raster"]),
     ("gather", &["brdf", "cut", "format", "light", "math", "raster", "store"]),
     ("schedule", &["gather", "math", "store"]),
+    ("bounce", &["cloud", "gather", "math", "schedule", "store"]),
     (
         "pbgi",
         &[
-            "build", "cloud", "file", "format", "gather", "image", "light", "math", "scene",
-            "schedule", "sort", "store",
+            "bounce", "build", "cloud", "file", "format", "gather", "image", "light", "math",
+            "scene", "schedule", "sort", "store",
         ],
     ),
     ("testkit", &["cloud", "math"]),

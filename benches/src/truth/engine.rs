@@ -88,8 +88,9 @@ impl Setting {
 pub fn bake_case(case: &Case, surfels: u64, path: &Path) -> Result<Octree> {
     let surfels = dice(&case.scene, surfels)?;
     let mut octree = bake(&surfels, path)?;
-    let (mut lit, settings) = (surfels.clone(), GatherSettings::default());
-    let light = Setting::default().light(case)?;
+    let mut lit = surfels.clone();
+    let setting = Setting { solid_angle_sr: 0.2, raster_edge: 6, ..Setting::default() };
+    let (settings, light) = (setting.gather(case), setting.light(case)?);
     for _ in 0..case.bounces {
         let reflected = reflected_radiance(&octree, light.as_ref(), &lit, &settings)?;
         let sum = surfels.iter().zip(&reflected).map(|(own, reflected)| {

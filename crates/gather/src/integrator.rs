@@ -53,6 +53,8 @@ pub struct GatherSettings {
     pub tolerance: f32,
     /// Which light is looked for; what is not is 0.
     pub parts: GatherParts,
+    /// Whether [`Shading::backs`] is looked for.
+    pub finds_backs: bool,
     /// Unit direction of the sky, for `sky_visibility`.
     pub up: Vec3,
     /// The instructions to use.
@@ -70,6 +72,7 @@ impl Default for GatherSettings {
             node_bytes: KNOWN_BYTES,
             tolerance: 0.0,
             parts: GatherParts::All,
+            finds_backs: false,
             up: Vec3::Y,
             simd: SimdLevel::detect(),
         }
@@ -110,6 +113,9 @@ impl<'a> Gatherer<'a> {
         let mut raster = CubeRaster::new(&table, shines);
         if differentiator.is_some() {
             raster.keep_depths();
+        }
+        if settings.finds_backs {
+            raster.keep_backs();
         }
         Self {
             walker: Walker {
@@ -372,6 +378,9 @@ impl WideKernel for ConvolutionKernel<'_, '_> {
         let Gatherer { light, table, raster, .. } = gatherer;
         let base = light.map(|light| &light.base);
         let diffuse = convolve_diffuse(raster, table, base, [receiver.normal, receiver.plane]);
+        if gatherer.settings.finds_backs {
+            shading.backs = raster.backs();
+        }
         shading.surface_irradiance = diffuse.surface_irradiance;
         shading.environment_irradiance = diffuse.environment_irradiance;
         shading.ambient_occlusion = diffuse.ambient_occlusion;

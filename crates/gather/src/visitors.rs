@@ -56,10 +56,10 @@ impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
         draw_surfel(seen, self.plane, self);
     }
 
-    /// What covers first says how far away a sample is, and light alone asks for it.
+    /// What covers first says how far away a sample is, and whether a back is seen there; light and who looks for backs ask for it.
     #[inline(always)]
     fn minds_order(&self) -> bool {
-        self.raster.shines()
+        self.raster.keeps_backs()
     }
 }
 

@@ -163,6 +163,7 @@ pub struct CubeRaster {
     stride: usize,
     shines: bool,
     keeps_depths: bool,
+    keeps_backs: bool,
     lamps: [LampSeen; LAMPS],
     /// Samples of each texel that lamps cover.
     of_lamps: Vec<u16>,
@@ -213,6 +214,7 @@ impl CubeRaster {
             stride,
             shines,
             keeps_depths: shines,
+            keeps_backs: shines,
             lamps: [LampSeen::default(); LAMPS],
             of_lamps: vec![0; if shines { 6 * n * stride } else { 0 }],
             of_backs: vec![0; if shines { 6 * n * stride } else { 0 }],
@@ -244,6 +246,12 @@ impl CubeRaster {
     /// Keeps how far away what covers samples is, also where nothing shines, for [`Self::nearest`].
     pub fn keep_depths(&mut self) {
         self.keeps_depths = true;
+    }
+
+    /// Notes where backs are seen, also where nothing shines, for [`Self::backs`].
+    pub fn keep_backs(&mut self) {
+        self.keeps_backs = true;
+        self.of_backs.resize(self.covered.len(), 0);
     }
 
     /// Empties the raster for a receiver with this normal: samples below its horizon count as covered from the
@@ -522,8 +530,9 @@ impl CubeRaster {
     fn cover<L: Lanes, S: Shape>(&mut self, shape: &S, ink: &Ink) -> u32 {
         let Self { n, stride, shines, keeps_depths, covered, above, rims, depths, .. } = self;
         let Self { open, rows, looked_at, directions: [across, along], hits, .. } = self;
-        let Self { lamps, of_lamps, of_backs, .. } = self;
+        let Self { lamps, of_lamps, of_backs, keeps_backs, .. } = self;
         let (face_texels, shines, keeps_depths) = (*n * *stride, *shines, *keeps_depths);
+        let keeps_backs = *keeps_backs;
         let (stride_log2, in_row) = (rows.stride_log2, *stride - 1);
         let opaque = ink.veil.is_opaque();
         let nearer = L::splat(1.0 + ink.tolerance);
@@ -552,7 +561,7 @@ impl CubeRaster {
                 let (before, depths) = (covered[index], &mut depths[index]);
                 let inked = if opaque { met } else { met & ink.veil.samples(index) };
                 let new = inked & !before;
-                if shines && ink.is_back {
+                if keeps_backs && ink.is_back {
                     of_backs[index] |= new;
                 } else if shines {
                     let backs = met & of_backs[index];
@@ -740,6 +749,26 @@ impl CubeRaster {
         }
         let weight = self.lights[index].tilt.sample.mean(backs);
         backs.count_ones() as f32 * weight / divisor(self.above[index])
+    }
+
+    /// Share of the samples above the horizon before which nothing but black backs is, of all texels together. Without light, what is drawn later but
+    /// nearer does not count.
+    #[must_use]
+    #[inline(always)]
+    pub fn backs(&self) -> f32 {
+        let mut counts = [0u32; 2];
+        for (backs, above) in self.of_backs.iter().zip(&self.above) {
+            counts[0] += (backs & above).count_ones();
+            counts[1] += above.count_ones();
+        }
+        counts[0] as f32 / larger(counts[1] as f32, 1.0)
+    }
+
+    /// Whether it makes a difference which of two pieces at nearly one place is drawn first.
+    #[must_use]
+    #[inline(always)]
+    pub fn keeps_backs(&self) -> bool {
+        self.keeps_backs
     }
 
     /// Whether any piece may carry light.

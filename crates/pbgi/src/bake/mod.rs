@@ -6,7 +6,6 @@ pub(crate) mod pass_files;
 pub(crate) mod relight;
 pub(crate) mod report;
 pub(crate) mod request;
-pub(crate) mod share;
 
 use crate::PbgiError;
 use crate::bake::input::{Inputs, OctreeUse, SceneSampling};

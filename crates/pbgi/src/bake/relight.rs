@@ -5,14 +5,14 @@
 //! order of the file; threads, memory and cache never change the result.
 
 use crate::PbgiError;
-use crate::bake::share::{Shared, cell_len};
 use crate::progress::Phase;
 use crate::shade::{CHUNK_RECEIVERS, EnvironmentSpec, LoadedEnvironment};
+use pbgi_bounce::{Shared, cell_len, surfel_irradiance};
 use pbgi_build::{Piece, PieceSource, PieceTask, SortedStream, StreamError};
 use pbgi_cloud::Surfel;
-use pbgi_gather::{GatherSettings, PreparedLight, Receiver, Shading};
+use pbgi_gather::{GatherSettings, PreparedLight};
 use pbgi_math::{MortonCode, Vec3};
-use pbgi_schedule::{ShadeOptions, shade_receivers};
+use pbgi_schedule::ShadeOptions;
 use pbgi_sort::{SortedPiece, SortedSurfels};
 use pbgi_store::Octree;
 use std::f32::consts::PI;
@@ -235,15 +235,10 @@ impl<'a> RelitStream<'a> {
         }
     }
 
-    fn shade(&self, Shared { chosen, place }: &Shared) -> Result<Vec<Shading>, PbgiError> {
+    /// Irradiance of the chosen surfels.
+    fn gather(&self, Shared { chosen, place }: &Shared) -> Result<Vec<[f32; 3]>, PbgiError> {
         let PassSettings { light, octree, .. } = self.pass;
-        let up = light.settings.up;
-        let receiver = |&index: &u32| {
-            let surfel = &self.ahead[index as usize].1;
-            let normal = if surfel.is_isotropic() { up } else { surfel.normal() };
-            Receiver::diffuse(surfel.center(), normal)
-        };
-        let receivers: Vec<Receiver> = chosen.iter().map(receiver).collect();
+        let chosen: Vec<&Surfel> = chosen.iter().map(|&i| &self.ahead[i as usize].1).collect();
         // Surfels done with each receiver, on average.
         let surfels = |done: u64| done * place.len() as u64 / chosen.len().max(1) as u64;
         let options = ShadeOptions {
@@ -253,7 +248,7 @@ impl<'a> RelitStream<'a> {
             progress: &|done| self.pass.phase.set_done(self.done + surfels(done)),
             ..ShadeOptions::default()
         };
-        Ok(shade_receivers(octree, light.environment.as_ref(), &receivers, &options)?.0)
+        Ok(surfel_irradiance(octree, light.environment.as_ref(), &chosen, &options)?)
     }
 }
 
@@ -263,11 +258,11 @@ impl SortedStream for RelitStream<'_> {
             self.is_read = !self.sorted.read_chunk(&mut self.ahead).map_err(PbgiError::from)?;
         }
         let shared = self.share();
-        let shadings = self.shade(&shared)?;
+        let found = self.gather(&shared)?;
         for ((code, mut surfel), place) in self.ahead.drain(..shared.place.len()).zip(&shared.place)
         {
-            let shading = &shadings[*place as usize];
-            surfel.radiance = lit_radiance(&surfel, shading, self.pass.radiance_bound);
+            let irradiance = found[*place as usize];
+            surfel.radiance = lit_radiance(&surfel, irradiance, self.pass.radiance_bound);
             self.radiance_max = surfel.radiance.iter().fold(self.radiance_max, |m, &c| m.max(c));
             out.push((code, surfel));
         }
@@ -279,8 +274,8 @@ impl SortedStream for RelitStream<'_> {
 }
 
 /// Emission + albedo/π · irradiance, within 0 and `bound`.
-fn lit_radiance(surfel: &Surfel, shading: &Shading, bound: f32) -> [f32; 3] {
-    let (albedo, irradiance) = (surfel.albedo_rgb(), shading.irradiance());
+fn lit_radiance(surfel: &Surfel, irradiance: [f32; 3], bound: f32) -> [f32; 3] {
+    let albedo = surfel.albedo_rgb();
     std::array::from_fn(|c| {
         let lit = surfel.radiance[c] + albedo[c] / PI * irradiance[c];
         lit.max(0.0).min(bound)
@@ -318,16 +313,11 @@ mod tests {
         let surfel = Surfel::new(Vec3::ZERO, Vec3::Y, 1.0, 1.0)
             .with_radiance([1.0, 0.0, 0.0])
             .with_albedo([0.5, 0.25, 0.0]);
-        let shading = Shading {
-            surface_irradiance: [PI, PI, PI],
-            environment_irradiance: [0.0, PI, PI],
-            ..Shading::default()
-        };
-        let lit = lit_radiance(&surfel, &shading, 9.0);
+        let irradiance = [PI, 2.0 * PI, 2.0 * PI];
+        let lit = lit_radiance(&surfel, irradiance, 9.0);
         assert!((lit[0] - 1.5).abs() < 1e-6 && (lit[1] - 0.5).abs() < 1e-6 && lit[2] == 0.0);
-        assert_eq!(lit_radiance(&surfel, &shading, 1.0)[0], 1.0);
-        let broken = Shading { surface_irradiance: [f32::NAN; 3], ..Shading::default() };
-        assert!(lit_radiance(&surfel, &broken, 9.0).iter().all(|c| *c == 0.0));
+        assert_eq!(lit_radiance(&surfel, irradiance, 1.0)[0], 1.0);
+        assert!(lit_radiance(&surfel, [f32::NAN; 3], 9.0).iter().all(|c| *c == 0.0));
     }
 
     #[test]

@@ -15,7 +15,7 @@ const SAME_PLANE_RADII: f32 = 0.5;
 
 /// The surfels gathered for, and who shares with whom.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Shared {
+pub struct Shared {
     /// Surfels to gather for.
     pub chosen: Vec<u32>,
     /// For each surfel the place of its own in `chosen`.
@@ -25,7 +25,7 @@ pub(crate) struct Shared {
 /// How many of `ahead`'s first surfels are in one cell of an octree with at most `most` surfels per
 /// leaf. `ahead` is not empty and holds more than `most` surfels, or all that are left; `previous`
 /// is the code of the surfel before them.
-pub(crate) fn cell_len(
+pub fn cell_len(
     ahead: &[(MortonCode, Surfel)],
     previous: Option<MortonCode>,
     most: usize,

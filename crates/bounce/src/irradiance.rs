@@ -1,0 +1,122 @@
+//! Irradiance of surfels, also of those that stand out of others in part.
+
+use pbgi_cloud::Surfel;
+use pbgi_gather::{PreparedLight, Receiver, Shading};
+use pbgi_math::Vec3;
+use pbgi_schedule::{ScheduleError, ShadeOptions, shade_receivers};
+use pbgi_store::Octree;
+
+/// Share of the directions in which a surfel's center sees backs first from which on the center is buried. It sees nothing else inside of something solid,
+/// and none outside: of the surfels of a street, 2 % see between a tenth and nine tenths.
+const BURIED: f32 = 0.5;
+
+/// Where buried surfels are looked at once more, as a share of the way from the center to their corners.
+const TOWARD_CORNERS: f32 = 2.0 / 3.0;
+
+/// Buried surfels that are looked at once more together.
+const BURIED_CHUNK: usize = 4096;
+
+/// Irradiance of surfels, W·m⁻², from the surfels of an octree and an environment.
+///
+/// That at the surfel's center; of a surfel whose center lies inside of something solid, as that of a ledge half of which is in its wall, the mean of what
+/// arrives at its center and toward its corners, weighted by the share of directions in which no back is seen: it is lit as the part of it is that stands
+/// out. One that lies inside as a whole is dark. Progress counts surfels, each once.
+///
+/// # Errors
+///
+/// If a surfel is not finite, the octree file fails, or on cancellation.
+pub fn surfel_irradiance(
+    octree: &Octree,
+    light: Option<&PreparedLight>,
+    surfels: &[&Surfel],
+    options: &ShadeOptions<'_>,
+) -> Result<Vec<[f32; 3]>, ScheduleError> {
+    let mut options = *options;
+    options.gather.finds_backs = true;
+    let at = |surfel: &Surfel, place: Vec3| {
+        let normal = if surfel.is_isotropic() { options.gather.up } else { surfel.normal() };
+        Receiver::diffuse(place, normal)
+    };
+    let receivers: Vec<Receiver> = surfels.iter().map(|s| at(s, s.center())).collect();
+    let centers = shade_receivers(octree, light, &receivers, &options)?.0;
+    drop(receivers);
+    let mut found: Vec<[f32; 3]> = centers.iter().map(Shading::irradiance).collect();
+    let is_buried = |i: &usize| centers[*i].backs > BURIED && !surfels[*i].is_isotropic();
+    let buried: Vec<usize> = (0..surfels.len()).filter(is_buried).collect();
+    options.progress = &|_| {};
+    for chunk in buried.chunks(BURIED_CHUNK) {
+        let mut receivers = Vec::new();
+        let mut ends = Vec::with_capacity(chunk.len());
+        for &i in chunk {
+            receivers.extend(places(surfels[i]).into_iter().flatten().map(|p| at(surfels[i], p)));
+            ends.push(receivers.len());
+        }
+        let shadings = shade_receivers(octree, light, &receivers, &options)?.0;
+        let mut start = 0;
+        for (&i, end) in chunk.iter().zip(ends) {
+            found[i] = mean_outside(&centers[i], &shadings[start..end]);
+            start = end;
+        }
+    }
+    Ok(found)
+}
+
+/// Mean irradiance, weighted by the share of directions in which no back is seen; of one that sees backs only, none.
+fn mean_outside(center: &Shading, others: &[Shading]) -> [f32; 3] {
+    let (mut sum, mut weights) = ([0.0; 3], 0.0);
+    for shading in std::iter::once(center).chain(others) {
+        let weight = 1.0 - shading.backs;
+        weights += weight;
+        for (sum, light) in sum.iter_mut().zip(shading.irradiance()) {
+            *sum += weight * light;
+        }
+    }
+    if weights > 0.0 { sum.map(|c| c / weights) } else { [0.0; 3] }
+}
+
+/// Places of a surfel between its center and its corners; of a disk, of the square in it.
+fn places(surfel: &Surfel) -> [Option<Vec3>; 4] {
+    let at = |offset: Vec3| Some(surfel.center() + offset * TOWARD_CORNERS);
+    if let Some([a, b, c]) = surfel.corners() {
+        return [at(a), at(b), at(c), None];
+    }
+    let [u, v] = surfel.half_edges().unwrap_or_else(|| {
+        let (u, v) = surfel.normal().any_orthonormal_pair();
+        [u, v].map(|edge| edge * (surfel.radius * std::f32::consts::FRAC_1_SQRT_2))
+    });
+    [at(u + v), at(u - v), at(-u - v), at(v - u)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn places_lie_on_the_surfel() {
+        let disk = Surfel::new(Vec3::ONE, Vec3::Y, 2.0, 12.0);
+        let rectangle = disk.with_tile(Vec3::X, 0.25);
+        let triangle = disk.with_triangle(Vec3::X * 3.0, 0.3);
+        for surfel in [disk, rectangle, triangle] {
+            let found: Vec<Vec3> = places(&surfel).into_iter().flatten().collect();
+            assert_eq!(found.len(), if surfel.corners().is_some() { 3 } else { 4 });
+            let mean = found.iter().sum::<Vec3>() / found.len() as f32;
+            assert!(mean.distance(surfel.center()) < 1e-3, "{mean}");
+            for place in found {
+                let offset = place - surfel.center();
+                assert!(offset.y.abs() < 1e-3 && offset.length() <= surfel.radius, "{offset}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_inside_does_not_count() {
+        let shading = |light: f32, backs: f32| Shading {
+            environment_irradiance: [light; 3],
+            backs,
+            ..Shading::default()
+        };
+        let outside = [shading(3.0, 0.0), shading(0.0, 1.0), shading(1.0, 0.0)];
+        assert_eq!(mean_outside(&shading(0.0, 1.0), &outside), [2.0; 3]);
+        assert_eq!(mean_outside(&shading(0.5, 1.0), &[]), [0.0; 3]);
+    }
+}
