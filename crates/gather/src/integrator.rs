@@ -358,7 +358,9 @@ impl WideKernel for CubeKernel<'_, '_> {
         };
         let (plane, lanes) = (receiver.plane, PhantomData);
         let mut visitor = CubeVisitor::<L> { raster, lamps, plane, lanes };
-        walker.pick(place, &threshold, &mut visitor)
+        walker.pick(place, &threshold, &mut visitor)?;
+        raster.resolve::<L>();
+        Ok(())
     }
 }
 

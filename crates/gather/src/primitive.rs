@@ -11,10 +11,13 @@ use std::f32::consts::FRAC_1_PI;
 const NEIGHBOR_REACHES: f32 = 4.0;
 
 /// Share of a piece's extent by which planes of neighbors on the same surface may lie before its own and not hide it.
-const PIECE_DEPTH: f32 = 0.15;
+const PIECE_DEPTH: f32 = 0.05;
 
-/// The same for a surfel and its radius: disks, which reach over each other, stand before their neighbors on a convex surface.
-const SURFEL_DEPTH: f32 = 0.5;
+/// The same for rectangles and triangles, whose neighbors' planes differ by what rounding turns them by.
+const TILE_DEPTH: f32 = 0.05;
+
+/// The same for disks and their radius: they reach over each other and stand before their neighbors on a convex surface.
+const DISK_DEPTH: f32 = 0.5;
 
 /// How much nearer, as a share of the distance, what hides nothing of a back may be: as much as rounding moves what lies at one place. Before the back of
 /// a thin thing lies its front, which is no neighbor: as if it were, a wall with frames would be half as bright as it is.
@@ -55,6 +58,8 @@ pub(crate) struct Outline {
     pub opacity: f32,
     /// How far it reaches from its center, about.
     pub extent: f32,
+    /// [`TILE_DEPTH`] or [`DISK_DEPTH`].
+    depth: f32,
 }
 
 /// Draws a surfel as what it stands for, or else as a disk, if it covers anything.
@@ -64,22 +69,22 @@ pub(crate) fn draw_surfel<P: SurfelPen>(seen: &SurfelSeen<'_>, plane: Vec3, pen:
         return;
     }
     let &SurfelSeen { surfel, center, .. } = seen;
-    let (normal, opacity) = (surfel.normal, 1.0);
+    let (normal, opacity, depth) = (surfel.normal, 1.0, TILE_DEPTH);
     match &surfel.shape {
         SurfelShape::Triangle { corners } => {
             let triangle = surfel_triangle(seen, corners, plane);
-            pen.draw(seen, &triangle, &Outline { normal, opacity, extent: surfel.radius });
+            pen.draw(seen, &triangle, &Outline { normal, opacity, extent: surfel.radius, depth });
         }
         SurfelShape::Rectangle { edges, half } => {
             let inverse = normal * (1.0 / normal.dot(center));
             let reach = half.map(|half| half * (1.0 + RECTANGLE_RIM));
             let (edges, half, ground) = (*edges, *half, ground(seen, plane));
             let tile = Tile { inverse, center, edges, half, reach, ground, side: side(seen) };
-            pen.draw(seen, &tile, &Outline { normal, opacity, extent: half[0] });
+            pen.draw(seen, &tile, &Outline { normal, opacity, extent: half[0], depth });
         }
         &SurfelShape::Disk { radius, rim, opacity } => {
             let (disk, normal) = surfel_disk(seen, plane, [radius, rim]);
-            pen.draw(seen, &disk, &Outline { normal, opacity, extent: radius });
+            pen.draw(seen, &disk, &Outline { normal, opacity, extent: radius, depth: DISK_DEPTH });
         }
     }
 }
@@ -169,7 +174,7 @@ pub(crate) fn surfel_solid_angle(seen: &SurfelSeen<'_>) -> f32 {
 #[inline(always)]
 pub(crate) fn surfel_ink(seen: &SurfelSeen<'_>, outline: &Outline) -> Ink {
     let (surfel, distance) = (seen.surfel, seen.distance2.sqrt());
-    let Outline { normal, opacity, extent, .. } = *outline;
+    let Outline { normal, opacity, extent, depth } = *outline;
     let cosine = normal.dot(seen.center) * (-1.0 / distance);
     Ink {
         veil: Veil { start: 0.0, end: opacity, seed: seen.seed },
@@ -177,7 +182,7 @@ pub(crate) fn surfel_ink(seen: &SurfelSeen<'_>, outline: &Outline) -> Ink {
         radiance: if cosine > 0.0 { surfel.radiance } else { [0.0; 3] },
         is_back: cosine <= 0.0,
         tolerance: if cosine > 0.0 {
-            neighbor_tolerance(SURFEL_DEPTH, extent / distance, cosine)
+            neighbor_tolerance(depth, extent / distance, cosine)
         } else {
             BACK_TOLERANCE
         },

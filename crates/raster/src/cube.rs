@@ -142,20 +142,42 @@ struct Hit {
     row: u8,
     /// Above the horizon and not hidden.
     visible: u16,
-    /// Not covered before by anything.
-    new: u16,
+    /// Those before which nothing was that is as near.
+    taken: u16,
 }
+
+/// A piece whose light is added once all are drawn that may hide it.
+#[derive(Clone, Copy, Debug)]
+struct Drawn {
+    inverse: Vec3,
+    /// Its middle.
+    toward: Vec3,
+    solid_angle: f32,
+    radiance: [f32; 3],
+    tolerance: f32,
+    lamp: Option<u8>,
+    /// Samples inside of its outline, and where the hits of the next piece begin.
+    met: u32,
+    hits_end: u32,
+}
+
+/// Pieces and hits that wait for others that may hide them, at most: 1.8 MiB. The default cut has a tenth of them; what comes later is farther, give or take the
+/// size of a surfel.
+const DRAWN_MAX: usize = 1 << 14;
+const HITS_MAX: usize = 1 << 16;
 
 /// Six faces of texels around a receiver, aligned with the world, sixteen samples each.
 ///
-/// Pieces arrive nearest first, or nearly. A piece covers the samples that meet it, whether they were covered or not: pieces
+/// A piece covers the samples that meet it, whether they were covered or not: pieces
 /// of one surface, which meet or overlap a little, leave no gap between them, and the coverage of
-/// a texel never exceeds 1. Each sample keeps the inverse depth of what covered it first.
+/// a texel never exceeds 1. Where there is light, each sample keeps the inverse depth of the nearest piece that covers it, and pieces shine once
+/// all are drawn ([`Self::resolve`]): surfaces that stick in each other come in any order, and what is inside of a wall must not shine for being drawn
+/// before it. Pieces still arrive nearest first, or nearly, as the walk leaves out what is behind texels that are covered.
 ///
 /// A small piece counts by its own exact solid angle, times the share of its samples that are not hidden, so
 /// that a lamp smaller than a texel keeps its flux; a piece is not hidden by
 /// its neighbors on the same surface, known by their depth. A piece
-/// larger than that counts by the samples it newly covers. In a texel that is covered wholly, shares must sum to one: surfaces share what
+/// larger than that counts by the samples in which it is the nearest. In a texel that is covered wholly, shares must sum to one: surfaces share what
 /// lamps leave of it. Lamps, pieces far brighter than usual, count by their own solid angle and cosine, whatever the texels' size.
 #[derive(Clone, Debug)]
 pub struct CubeRaster {
@@ -195,6 +217,7 @@ pub struct CubeRaster {
     directions: [Vec<[f32; SAMPLES]>; 2],
     inverse_solid_angles: Vec<f32>,
     hits: Vec<Hit>,
+    drawn: Vec<Drawn>,
 }
 
 impl CubeRaster {
@@ -240,6 +263,7 @@ impl CubeRaster {
                 .map(|t| inverse(t.solid_angle_sr))
                 .collect(),
             hits: Vec::with_capacity(64),
+            drawn: Vec::with_capacity(64),
         }
     }
 
@@ -265,6 +289,8 @@ impl CubeRaster {
     #[inline(always)]
     pub fn clear_above<L: Lanes>(&mut self, normal: Vec3, plane: Vec3) {
         self.lit.clear();
+        self.hits.clear();
+        self.drawn.clear();
         self.open.clear();
         self.rims.fill(Rims::default());
         self.lamps = [LampSeen::default(); LAMPS];
@@ -427,58 +453,109 @@ impl CubeRaster {
         codes
     }
 
-    /// Draws a shape inside the texels that were looked at last; `toward` leads to its middle.
+    /// Draws a shape inside the texels that were looked at last; `toward` leads to its middle. Its light is added by [`Self::resolve`].
     #[inline(always)]
     pub fn draw<L: Lanes, S: Shape>(&mut self, shape: &S, ink: &Ink, toward: Vec3) {
-        self.hits.clear();
+        let hits_start = self.hits.len();
         let met = self.cover::<L, S>(shape, ink);
         if !self.shines || ink.is_back {
             return;
         }
-        if let Some(lamp) = ink.lamp
-            && ink.solid_angle >= LARGE_LAMP_SR
+        let &Ink { solid_angle, radiance, tolerance, lamp, .. } = ink;
+        if let Some(lamp) = lamp
+            && solid_angle >= LARGE_LAMP_SR
         {
             self.lamps[usize::from(lamp)].note_large();
         }
-        for number in 0..self.hits.len() {
-            let hit = self.hits[number];
-            self.shine(&hit, ink, met, toward);
-        }
         if met == 0 {
-            self.shine_unmet::<L, S>(shape, toward, ink);
+            self.hits.truncate(hits_start);
+            if toward == Vec3::ZERO {
+                return;
+            }
+        } else if self.hits.len() == hits_start {
+            return;
+        }
+        let (inverse, hits_end) = (shape.inverse(), self.hits.len() as u32);
+        let drawn =
+            Drawn { inverse, toward, solid_angle, radiance, tolerance, lamp, met, hits_end };
+        self.drawn.push(drawn);
+        if self.drawn.len() >= DRAWN_MAX || self.hits.len() >= HITS_MAX {
+            self.resolve::<L>();
         }
     }
 
-    /// Adds the light of a piece that met `met` samples in all to a texel in which it met some.
+    /// Adds the light of all that was drawn since the last time.
     #[inline(always)]
-    fn shine(&mut self, hit: &Hit, ink: &Ink, met: u32, toward: Vec3) {
+    pub fn resolve<L: Lanes>(&mut self) {
+        let mut hits_start = 0;
+        for number in 0..self.drawn.len() {
+            let drawn = self.drawn[number];
+            let hits_end = drawn.hits_end as usize;
+            if drawn.met == 0 {
+                self.shine_unmet::<L>(&drawn);
+            }
+            for number in hits_start..hits_end {
+                self.shine_hit::<L>(number, &drawn);
+            }
+            hits_start = hits_end;
+        }
+        self.drawn.clear();
+        self.hits.clear();
+    }
+
+    /// Adds the light of a piece to a texel in which it met some samples, as far as nothing hides it.
+    #[inline(always)]
+    fn shine_hit<L: Lanes>(&mut self, number: usize, drawn: &Drawn) {
+        let mut hit = self.hits[number];
+        let index = hit.index as usize;
+        let [across, along] = &self.directions;
+        let (u, v) = (&across[usize::from(hit.column)], &along[usize::from(hit.row)]);
+        let w = inverse_depths(turn(drawn.inverse, CubeFace(hit.face)), L::load(u), L::load(v));
+        let depths = L::load(&self.depths[index]);
+        let hidden =
+            self.covered[index] & L::bits(w.mul(L::splat(1.0 + drawn.tolerance)).le(depths));
+        hit.visible &= !hidden;
+        hit.taken &= L::bits(depths.le(w));
+        if let Some(lamp) = drawn.lamp {
+            let there =
+                self.above[index] & !own_plane::<L>(self.covered[index], &self.depths[index]);
+            self.lamps[usize::from(lamp)].note(there, hidden, self.of_lamps[index]);
+        }
+        if hit.visible | hit.taken != 0 {
+            self.shine(&hit, drawn);
+        }
+    }
+
+    /// Adds the light of a piece to a texel in which it shows.
+    #[inline(always)]
+    fn shine(&mut self, hit: &Hit, drawn: &Drawn) {
+        let &Drawn { toward, solid_angle, ref radiance, lamp, met, .. } = drawn;
         let (index, place) = (hit.index as usize, [hit.face, hit.row, hit.column]);
         let above = self.above[index];
         let count = hit.visible.count_ones();
-        let per_sample = ink.solid_angle * self.inverse_solid_angles[index] / met as f32;
-        let by_solid_angle = count as f32 * per_sample * SAMPLES as f32;
-        if let Some(lamp) = ink.lamp
-            && ink.solid_angle < LARGE_LAMP_SR
+        if let Some(lamp) = lamp
+            && solid_angle < LARGE_LAMP_SR
         {
-            let solid_angle = ink.solid_angle * count as f32 / met as f32;
+            let seen = solid_angle * count as f32 / met as f32;
             // Where it met samples of one texel only, their places say less of it than its own.
             let cosine = if count == met && toward != Vec3::ZERO {
                 self.normal.dot(toward) / toward.length()
             } else {
-                self.cosine_in(hit, offset_sum(hit.visible).map(|sum| sum / count as f32))
+                self.cosine_in(hit, offset_sum(hit.visible).map(|sum| sum / divisor(hit.visible)))
             };
-            self.shine_lamp((index, place), lamp, solid_angle, cosine, &ink.radiance);
+            self.shine_lamp((index, place), lamp, seen, cosine, radiance);
             return;
         }
+        let per_sample = solid_angle * self.inverse_solid_angles[index] / met as f32;
         let light = self.light(index, place);
         let tilt = light.tilt;
-        let samples = if ink.solid_angle < SMALL_SR {
-            by_solid_angle * tilt.cosine.mean(hit.visible)
+        let samples = if solid_angle < SMALL_SR {
+            count as f32 * per_sample * SAMPLES as f32 * tilt.cosine.mean(hit.visible)
         } else {
-            hit.new.count_ones() as f32 * tilt.sample.mean(hit.new)
+            hit.taken.count_ones() as f32 * tilt.sample.mean(hit.taken)
         };
         let share = samples / divisor(above);
-        light.add(share, &ink.radiance);
+        light.add(share, radiance);
     }
 
     /// Adds the light of a lamp that shows this solid angle in a texel, at this cosine: it counts as it is, whatever the texel's size.
@@ -525,12 +602,12 @@ impl CubeRaster {
         &self.lamps
     }
 
-    /// Covers the samples that meet a shape, and counts them. Without light, texels that are covered already need not meet anything.
+    /// Covers the samples that meet a shape, and counts those inside of its outline. Without light, texels that are covered already need not meet anything.
     #[inline(always)]
     fn cover<L: Lanes, S: Shape>(&mut self, shape: &S, ink: &Ink) -> u32 {
         let Self { n, stride, shines, keeps_depths, covered, above, rims, depths, .. } = self;
         let Self { open, rows, looked_at, directions: [across, along], hits, .. } = self;
-        let Self { lamps, of_lamps, of_backs, keeps_backs, .. } = self;
+        let Self { of_lamps, of_backs, keeps_backs, .. } = self;
         let (face_texels, shines, keeps_depths) = (*n * *stride, *shines, *keeps_depths);
         let keeps_backs = *keeps_backs;
         let (stride_log2, in_row) = (rows.stride_log2, *stride - 1);
@@ -553,37 +630,45 @@ impl CubeRaster {
                 let (row, column) = ((index - of_face) >> stride_log2, index & in_row);
                 let (u, v) = (L::load(&across[column]), L::load(&along[row]));
                 let w = inverse_depths(inverse, u, v);
-                let met = shape.meets([L::splat(1.0), u, v], w).close(&shape, &mut rims[index]);
+                let found = shape.meets([L::splat(1.0), u, v], w);
+                let met = found.close(&shape, &mut rims[index]);
                 if met == 0 {
                     continue;
                 }
-                met_count += met.count_ones();
+                // What lies between it and its neighbors is covered, and no part of what shines.
+                let inside = found.inside;
+                met_count += inside.count_ones();
                 let (before, depths) = (covered[index], &mut depths[index]);
                 let inked = if opaque { met } else { met & ink.veil.samples(index) };
                 let new = inked & !before;
-                if keeps_backs && ink.is_back {
+                if shines {
+                    let (above, old) = (above[index], L::load(depths));
+                    let mut nearer_ones = before & L::bits(w.le(old));
+                    let backs = of_backs[index];
+                    if backs & nearer_ones != 0 && !ink.is_back {
+                        // A back at the same place gives way.
+                        nearer_ones &= !(backs & L::bits(old.le(w)));
+                    }
+                    let taken = inked & above & !nearer_ones;
+                    if taken != 0 {
+                        w.store_where(taken, depths);
+                        of_backs[index] = backs & !taken | if ink.is_back { taken } else { 0 };
+                        let of_lamp = if ink.lamp.is_some() { taken } else { 0 };
+                        of_lamps[index] = of_lamps[index] & !taken | of_lamp;
+                    }
+                    if !ink.is_back {
+                        let hidden = before & L::bits(w.mul(nearer).le(old));
+                        let visible = inside & above & !hidden;
+                        if visible | taken != 0 || ink.lamp.is_some() {
+                            let (row, column, index) = (row as u8, column as u8, index as u32);
+                            hits.push(Hit { index, face, column, row, visible, taken });
+                        }
+                    }
+                } else if keeps_backs && ink.is_back {
                     of_backs[index] |= new;
-                } else if shines {
-                    let backs = met & of_backs[index];
-                    if backs != 0 {
-                        let over = backs & L::bits(L::load(depths).le(w));
-                        of_backs[index] &= !over;
-                        w.store_where(over, depths);
-                    }
-                    let hidden = before & L::bits(w.mul(nearer).le(L::load(depths)));
-                    let visible = met & above[index] & !hidden;
-                    if let Some(lamp) = ink.lamp {
-                        let there = above[index] & !own_plane::<L>(before, depths);
-                        lamps[usize::from(lamp)].note(there, hidden, of_lamps[index]);
-                        of_lamps[index] |= visible & !before;
-                    }
-                    if visible | new != 0 {
-                        let (row, column, index) = (row as u8, column as u8, index as u32);
-                        hits.push(Hit { index, face, column, row, visible, new });
-                    }
                 }
                 if new != 0 {
-                    if keeps_depths {
+                    if keeps_depths && !shines {
                         w.store_where(new, depths);
                     }
                     covered[index] = before | new;
@@ -599,10 +684,8 @@ impl CubeRaster {
     /// Adds the light of a piece that met no sample to the texel at its middle. Whether it is hidden says the sample next to it:
     /// others in the texel may lie on other surfaces.
     #[inline(always)]
-    fn shine_unmet<L: Lanes, S: Shape>(&mut self, shape: &S, toward: Vec3, ink: &Ink) {
-        if toward == Vec3::ZERO {
-            return;
-        }
+    fn shine_unmet<L: Lanes>(&mut self, drawn: &Drawn) {
+        let &Drawn { inverse, toward, solid_angle, ref radiance, tolerance, lamp, .. } = drawn;
         let (face, u, v) = CubeFace::from_direction(toward);
         let [x, y] = [u, v].map(|c| (c + 1.0) * self.scale);
         let texel = |c: f32| smaller_index(c as i32 as usize, self.n - 1);
@@ -615,11 +698,11 @@ impl CubeRaster {
             return;
         }
         let [across, along] = &self.directions;
-        let inverse = shape.turned(face).inverse();
+        let inverse = turn(inverse, face);
         let w = inverse_depths(inverse, L::load(&across[column]), L::load(&along[row]));
-        let (nearer, depths) = (L::splat(1.0 + ink.tolerance), &self.depths[index]);
+        let (nearer, depths) = (L::splat(1.0 + tolerance), &self.depths[index]);
         let hidden = self.covered[index] & L::bits(w.mul(nearer).le(L::load(depths)));
-        if let Some(lamp) = ink.lamp {
+        if let Some(lamp) = lamp {
             let there = above & !own_plane::<L>(self.covered[index], depths);
             self.lamps[usize::from(lamp)].note(there, hidden, self.of_lamps[index]);
         }
@@ -628,16 +711,16 @@ impl CubeRaster {
         }
         let place_in_texel = place_in_texel.map(|x| 2.0 * x - 1.0);
         let place = [face.0, row as u8, column as u8];
-        if let Some(lamp) = ink.lamp {
+        if let Some(lamp) = lamp {
             let cosine = self.normal.dot(toward) / toward.length();
-            self.shine_lamp((index, place), lamp, ink.solid_angle, cosine, &ink.radiance);
+            self.shine_lamp((index, place), lamp, solid_angle, cosine, radiance);
             return;
         }
         let whole = self.inverse_solid_angles[index] * SAMPLES as f32 / above.count_ones() as f32;
         let light = self.light(index, place);
         let cosine = light.tilt.cosine.at(place_in_texel);
-        let share = ink.solid_angle * whole * cosine;
-        light.add(share, &ink.radiance);
+        let share = solid_angle * whole * cosine;
+        light.add(share, radiance);
     }
 
     /// Share of texel `index` (in memory), above the horizon, that no surface covers.
