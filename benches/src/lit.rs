@@ -2,8 +2,8 @@
 
 use crate::{bake, dice};
 use anyhow::{Result, bail};
-use pbgi_bounce::surfel_irradiance;
-use pbgi_cloud::{CloudOptions, SliceSource, Surfel, open_cloud};
+use pbgi_bounce::{SurfelLight, light_on_surfels};
+use pbgi_cloud::{CloudOptions, SliceSource, Surfel, SurfelFlags, open_cloud};
 use pbgi_gather::{GatherSettings, PreparedLight};
 use pbgi_image::read_environment;
 use pbgi_light::{Environment, EnvironmentOptions, SkyParameters, synthetic_sky};
@@ -55,11 +55,7 @@ pub fn lit_surfels(name: &str, count: u64, data: &Path) -> Result<Option<Vec<Sur
     let settings =
         GatherSettings { solid_angle_sr: 0.2, raster_edge: 6, up, ..GatherSettings::default() };
     let light = PreparedLight::new(&environment, settings.raster_edge);
-    let reflected = reflected_radiance(&octree, Some(&light), &surfels, &settings)?;
-    let lit = surfels.iter().zip(reflected).map(|(surfel, reflected)| {
-        surfel.with_radiance(std::array::from_fn(|c| surfel.radiance[c] + reflected[c]))
-    });
-    Ok(Some(lit.collect()))
+    Ok(Some(light_up(&octree, Some(&light), &surfels, &settings)?))
 }
 
 /// About `count` points with sizes and normals estimated, as `pbgi-bake` does it.
@@ -85,23 +81,26 @@ pub fn read_sorted(sorted: &mut SortedSurfels) -> Result<(Vec<u64>, Vec<Surfel>)
     Ok(all.into_iter().map(|(code, surfel)| (code.0, surfel)).unzip())
 }
 
-/// What each surfel reflects of the light it gets from `octree` and `light`.
+/// Surfels with what they reflect, besides what they emit, of the light they get from `octree` and `light`.
 ///
 /// # Errors
 ///
 /// If the octree cannot be read.
-pub fn reflected_radiance(
+pub fn light_up(
     octree: &Octree,
     light: Option<&PreparedLight>,
     surfels: &[Surfel],
     settings: &GatherSettings,
-) -> Result<Vec<[f32; 3]>> {
+) -> Result<Vec<Surfel>> {
     let places: Vec<&Surfel> = surfels.iter().collect();
     let options = ShadeOptions { gather: *settings, threads: 2, ..ShadeOptions::default() };
-    let found = surfel_irradiance(octree, light, &places, &options)?;
-    let reflect = |(surfel, irradiance): (&Surfel, [f32; 3])| {
+    let found = light_on_surfels(octree, light, &places, &options)?;
+    let lit = |(surfel, light): (&Surfel, SurfelLight)| {
         let albedo = surfel.albedo_rgb();
-        std::array::from_fn(|c| albedo[c] / PI * irradiance[c])
+        let radiance =
+            std::array::from_fn(|c| surfel.radiance[c] + albedo[c] / PI * light.irradiance[c]);
+        let buried = if light.is_buried { SurfelFlags::BURIED } else { SurfelFlags::default() };
+        surfel.with_radiance(radiance).with_flags(buried)
     };
-    Ok(surfels.iter().zip(found).map(reflect).collect())
+    Ok(surfels.iter().zip(found).map(lit).collect())
 }

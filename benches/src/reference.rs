@@ -5,9 +5,7 @@
 
 use anyhow::{Context, Result};
 use clap::Parser;
-use pbgi_benches::{
-    Caster, Gathered, SkyImage, ThreadTimer, bake, dice, first_bounce, reflected_radiance,
-};
+use pbgi_benches::{Caster, Gathered, SkyImage, ThreadTimer, bake, dice, first_bounce, light_up};
 use pbgi_cloud::{ReceiverTable, Surfel};
 use pbgi_gather::{
     GatherParts, GatherSettings, Gloss, ImportanceTerms, Material, PreparedLight, Receiver, Shading,
@@ -244,10 +242,8 @@ impl Bench<'_> {
                 }
                 if self.label.is_empty() {
                     // One bounce: the emitter itself counts as black.
-                    let reflected = reflected_radiance(octree, None, surfels, &self.settings)?;
-                    let lit =
-                        surfels.iter().zip(reflected).map(|(s, light)| s.with_radiance(light));
-                    let octree = bake(&lit.collect::<Vec<_>>(), path)?;
+                    let black: Vec<_> = surfels.iter().map(|s| s.with_radiance([0.0; 3])).collect();
+                    let octree = bake(&light_up(octree, None, &black, &self.settings)?, path)?;
                     self.irradiance("indirect", &octree, None)?;
                 }
                 Ok(())

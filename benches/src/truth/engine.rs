@@ -3,7 +3,7 @@
 use crate::cases::{Case, Light};
 use crate::workers::spread;
 use anyhow::Result;
-use pbgi_benches::{ThreadTimer, bake, dice, reflected_radiance};
+use pbgi_benches::{ThreadTimer, bake, dice, light_up};
 use pbgi_gather::{GatherParts, GatherSettings, Gatherer, PreparedLight, Receiver, Shading};
 use pbgi_light::{Environment, EnvironmentOptions};
 use pbgi_store::Octree;
@@ -88,16 +88,10 @@ impl Setting {
 pub fn bake_case(case: &Case, surfels: u64, path: &Path) -> Result<Octree> {
     let surfels = dice(&case.scene, surfels)?;
     let mut octree = bake(&surfels, path)?;
-    let mut lit = surfels.clone();
     let setting = Setting { solid_angle_sr: 0.2, raster_edge: 6, ..Setting::default() };
     let (settings, light) = (setting.gather(case), setting.light(case)?);
     for _ in 0..case.bounces {
-        let reflected = reflected_radiance(&octree, light.as_ref(), &lit, &settings)?;
-        let sum = surfels.iter().zip(&reflected).map(|(own, reflected)| {
-            own.with_radiance(std::array::from_fn(|c| own.radiance[c] + reflected[c]))
-        });
-        lit = sum.collect();
-        octree = bake(&lit, path)?;
+        octree = bake(&light_up(&octree, light.as_ref(), &surfels, &settings)?, path)?;
     }
     Ok(octree)
 }

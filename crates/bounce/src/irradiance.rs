@@ -16,20 +16,29 @@ const TOWARD_CORNERS: f32 = 2.0 / 3.0;
 /// Buried surfels that are looked at once more together.
 const BURIED_CHUNK: usize = 4096;
 
-/// Irradiance of surfels, W·m⁻², from the surfels of an octree and an environment.
+/// What falls on a surfel.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SurfelLight {
+    /// W·m⁻².
+    pub irradiance: [f32; 3],
+    /// Whether it lies inside of something solid as a whole, so that nobody sees its light.
+    pub is_buried: bool,
+}
+
+/// What falls on surfels from those of an octree and an environment.
 ///
-/// That at the surfel's center; of a surfel whose center lies inside of something solid, as that of a ledge half of which is in its wall, the mean of what
-/// arrives toward its corners, of those that are outside: it is lit as the part of it is that stands out. Progress counts surfels, each once.
+/// Irradiance is that at the surfel's center; of a surfel whose center lies inside of something solid, as that of a ledge half of which is in its wall, the mean
+/// of what arrives toward its corners, of those that are outside: it is lit as the part of it is that stands out. Progress counts surfels, each once.
 ///
 /// # Errors
 ///
 /// If a surfel is not finite, the octree file fails, or on cancellation.
-pub fn surfel_irradiance(
+pub fn light_on_surfels(
     octree: &Octree,
     light: Option<&PreparedLight>,
     surfels: &[&Surfel],
     options: &ShadeOptions<'_>,
-) -> Result<Vec<[f32; 3]>, ScheduleError> {
+) -> Result<Vec<SurfelLight>, ScheduleError> {
     let mut options = *options;
     options.gather.finds_backs = true;
     let at = |surfel: &Surfel, place: Vec3| {
@@ -39,7 +48,9 @@ pub fn surfel_irradiance(
     let receivers: Vec<Receiver> = surfels.iter().map(|s| at(s, s.center())).collect();
     let centers = shade_receivers(octree, light, &receivers, &options)?.0;
     drop(receivers);
-    let mut found: Vec<[f32; 3]> = centers.iter().map(Shading::irradiance).collect();
+    let found =
+        |shading: &Shading| SurfelLight { irradiance: shading.irradiance(), is_buried: false };
+    let mut found: Vec<SurfelLight> = centers.iter().map(found).collect();
     let is_buried = |i: &usize| centers[*i].backs > BURIED && !surfels[*i].is_isotropic();
     let buried: Vec<usize> = (0..surfels.len()).filter(is_buried).collect();
     options.progress = &|_| {};
@@ -53,15 +64,18 @@ pub fn surfel_irradiance(
         let shadings = shade_receivers(octree, light, &receivers, &options)?.0;
         let mut start = 0;
         for (&i, end) in chunk.iter().zip(ends) {
-            found[i] = mean_outside(&centers[i], &shadings[start..end]);
+            match mean_outside(&shadings[start..end]) {
+                Some(irradiance) => found[i].irradiance = irradiance,
+                None => found[i].is_buried = true,
+            }
             start = end;
         }
     }
     Ok(found)
 }
 
-/// Mean irradiance of the places outside, the more the fewer backs are seen there; that of the center without any.
-fn mean_outside(center: &Shading, places: &[Shading]) -> [f32; 3] {
+/// Mean irradiance of the places outside, the more the fewer backs are seen there; none without any.
+fn mean_outside(places: &[Shading]) -> Option<[f32; 3]> {
     let (mut sum, mut weights) = ([0.0; 3], 0.0);
     for shading in places {
         let weight = (1.0 - shading.backs / BURIED).max(0.0);
@@ -70,7 +84,7 @@ fn mean_outside(center: &Shading, places: &[Shading]) -> [f32; 3] {
             *sum += weight * light;
         }
     }
-    if weights > 0.0 { sum.map(|c| c / weights) } else { center.irradiance() }
+    (weights > 0.0).then(|| sum.map(|c| c / weights))
 }
 
 /// Places of a surfel between its center and its corners; of a disk, of the square in it.
@@ -115,7 +129,7 @@ mod tests {
             ..Shading::default()
         };
         let places = [shading(3.0, 0.0), shading(0.1, 0.7), shading(1.0, 0.0)];
-        assert_eq!(mean_outside(&shading(0.0, 1.0), &places), [2.0; 3]);
-        assert_eq!(mean_outside(&shading(0.5, 1.0), &places[1..2]), [0.5; 3]);
+        assert_eq!(mean_outside(&places), Some([2.0; 3]));
+        assert_eq!(mean_outside(&places[1..2]), None);
     }
 }

@@ -6,5 +6,5 @@
 mod irradiance;
 mod share;
 
-pub use irradiance::surfel_irradiance;
+pub use irradiance::{SurfelLight, light_on_surfels};
 pub use share::{Shared, cell_len};

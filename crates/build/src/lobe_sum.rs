@@ -1,6 +1,6 @@
 //! Sums over surfels of similar normals and radiance.
 
-use pbgi_cloud::Surfel;
+use pbgi_cloud::{Surfel, SurfelFlags};
 use pbgi_format::Lobe;
 use pbgi_math::{Aabb, DVec3, Frame, Stencil, Vec3, section_area, stencil_axis};
 
@@ -13,8 +13,10 @@ pub struct LobeSum {
     pub area: f64,
     /// `Σ aᵢ xᵢ`, area counted as in `area`.
     pub moment: DVec3,
-    /// `Σ aᵢ Lᵢ`, area counted as in `area`.
+    /// `Σ aᵢ Lᵢ`, area counted as in `area`, of the surfels that are not buried.
     pub flux: [f64; 3],
+    /// `Σ aᵢ` of these: what lies inside of walls does not darken them.
+    pub seen: f64,
     /// Whether backs block.
     pub blocks_back: bool,
     /// Area that sheets cover, seen along `vector`: what lies behind other parts of the lobe does not count. `area` where backs block.
@@ -45,13 +47,15 @@ impl LobeSum {
     #[must_use]
     pub fn from_surfel(surfel: &Surfel, normal: Vec3) -> Self {
         let (isotropic, area) = (surfel.is_isotropic(), lobe_area(surfel));
+        let seen = if surfel.flags.contains(SurfelFlags::BURIED) { 0.0 } else { area };
         let blocks_back = !isotropic && !surfel.is_front_only();
         let center = Aabb { min: surfel.center(), max: surfel.center() };
         Self {
             vector: if isotropic { DVec3::ZERO } else { normal.as_dvec3() * area },
             area,
             moment: surfel.center().as_dvec3() * area,
-            flux: surfel.radiance.map(|c| f64::from(c) * area),
+            flux: surfel.radiance.map(|c| f64::from(c) * seen),
+            seen,
             blocks_back,
             covered: area,
             loose: 0.0,
@@ -75,6 +79,7 @@ impl LobeSum {
         self.vector += other.vector;
         self.area += other.area;
         self.loose += other.loose;
+        self.seen += other.seen;
         self.moment += other.moment;
         for (sum, part) in self.flux.iter_mut().zip(other.flux) {
             *sum += part;
@@ -120,9 +125,9 @@ impl LobeSum {
         stencil_axis(Lobe::decoded_direction(self.vector.as_vec3()))
     }
 
-    /// Mean radiance.
+    /// Mean radiance of what is seen.
     pub(crate) fn radiance(&self) -> [f32; 3] {
-        self.flux.map(|f| (f / self.area) as f32)
+        if self.seen > 0.0 { self.flux.map(|f| (f / self.seen) as f32) } else { [0.0; 3] }
     }
 
     /// The stored form, in a node whose stored box is `bounds`.

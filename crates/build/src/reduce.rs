@@ -70,14 +70,14 @@ impl Candidate {
         let (v, w) = (self.length, other.length);
         let cancelled = v + w - (a.vector + b.vector).length();
         let (l, m) = (self.luminance, other.luminance);
-        if l == m {
+        if l == m || a.seen == 0.0 || b.seen == 0.0 {
             return cancelled;
         }
         let contrast = if l + m > 0.0 { f64::from((l - m).abs() / (l + m)) } else { 0.0 };
         let roundness = (v / a.area - w / b.area).abs() * a.area.min(b.area);
         // Share of the light of both that the lamp shines, and the sum would shine from all of the other's area, too.
-        let fluxes = [f64::from(l) * a.area, f64::from(m) * b.area];
-        let (lamp, dark) = if l > m { (fluxes[0], b.area) } else { (fluxes[1], a.area) };
+        let fluxes = [f64::from(l) * a.seen, f64::from(m) * b.seen];
+        let (lamp, dark) = if l > m { (fluxes[0], b.seen) } else { (fluxes[1], a.seen) };
         let displaced = lamp / (fluxes[0] + fluxes[1]) * dark;
         let glare = ((contrast - LAMP_CONTRAST) / (1.0 - LAMP_CONTRAST)).max(0.0);
         cancelled * (1.0 + 2.0 * contrast) + 0.25 * contrast * roundness + glare * displaced
@@ -257,6 +257,7 @@ mod tests {
             vector: normal * area,
             area,
             flux: [light * area; 3],
+            seen: area,
             blocks_back: true,
             covered: area,
             ..LobeSum::default()
@@ -300,6 +301,7 @@ mod tests {
                         area,
                         moment: DVec3::splat(i as f64) * area,
                         flux: [light * area; 3],
+                        seen: area,
                         blocks_back: round % 3 > 0 || i % 2 == 0,
                         covered: area,
                         bounds: Aabb::EMPTY,

@@ -19,9 +19,11 @@ impl SurfelFlags {
     /// back, so that each side has its own light and the sheet blocks once. Without this flag a
     /// surfel blocks light from both sides and its back is black.
     pub const FRONT_ONLY: Self = Self(2);
+    /// It lies inside of something solid, where nobody sees its light. What finds out while it lights surfels says so to what sums them; no file has it.
+    pub const BURIED: Self = Self(4);
     /// Bits of the [`FootCode`] of the triangle a surfel stands for.
     const FOOT: Self = Self((FootCode::MAX as u16) << FOOT_SHIFT);
-    /// All bits that have a meaning.
+    /// All bits that have a meaning in files.
     pub const KNOWN: Self = Self(Self::ISOTROPIC.0 | Self::FRONT_ONLY.0 | Self::FOOT.0);
 
     /// Whether all bits of `other` are set.

@@ -7,9 +7,9 @@
 use crate::PbgiError;
 use crate::progress::Phase;
 use crate::shade::{CHUNK_RECEIVERS, EnvironmentSpec, LoadedEnvironment};
-use pbgi_bounce::{Shared, cell_len, surfel_irradiance};
+use pbgi_bounce::{Shared, SurfelLight, cell_len, light_on_surfels};
 use pbgi_build::{Piece, PieceSource, PieceTask, SortedStream, StreamError};
-use pbgi_cloud::Surfel;
+use pbgi_cloud::{Surfel, SurfelFlags};
 use pbgi_gather::{GatherSettings, PreparedLight};
 use pbgi_math::{MortonCode, Vec3};
 use pbgi_schedule::ShadeOptions;
@@ -235,8 +235,8 @@ impl<'a> RelitStream<'a> {
         }
     }
 
-    /// Irradiance of the chosen surfels.
-    fn gather(&self, Shared { chosen, place }: &Shared) -> Result<Vec<[f32; 3]>, PbgiError> {
+    /// What falls on the chosen surfels.
+    fn gather(&self, Shared { chosen, place }: &Shared) -> Result<Vec<SurfelLight>, PbgiError> {
         let PassSettings { light, octree, .. } = self.pass;
         let chosen: Vec<&Surfel> = chosen.iter().map(|&i| &self.ahead[i as usize].1).collect();
         // Surfels done with each receiver, on average.
@@ -248,7 +248,7 @@ impl<'a> RelitStream<'a> {
             progress: &|done| self.pass.phase.set_done(self.done + surfels(done)),
             ..ShadeOptions::default()
         };
-        Ok(surfel_irradiance(octree, light.environment.as_ref(), &chosen, &options)?)
+        Ok(light_on_surfels(octree, light.environment.as_ref(), &chosen, &options)?)
     }
 }
 
@@ -261,8 +261,11 @@ impl SortedStream for RelitStream<'_> {
         let found = self.gather(&shared)?;
         for ((code, mut surfel), place) in self.ahead.drain(..shared.place.len()).zip(&shared.place)
         {
-            let irradiance = found[*place as usize];
+            let SurfelLight { irradiance, is_buried } = found[*place as usize];
             surfel.radiance = lit_radiance(&surfel, irradiance, self.pass.radiance_bound);
+            if is_buried {
+                surfel.flags = surfel.flags.with(SurfelFlags::BURIED);
+            }
             self.radiance_max = surfel.radiance.iter().fold(self.radiance_max, |m, &c| m.max(c));
             out.push((code, surfel));
         }
