@@ -274,6 +274,7 @@ pub(crate) mod tests {
                 self.0.look_at_box(low, high);
                 self.0.draw::<L, _>(&Section::new(inverse, low, high), &ink, low + high);
             }
+            self.0.resolve::<L>();
         }
     }
 
