@@ -56,10 +56,9 @@ impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
         draw_surfel(seen, self.plane, self);
     }
 
-    /// What covers first says how far away a sample is, and whether a back is seen there; light and who looks for backs ask for it.
     #[inline(always)]
     fn minds_order(&self) -> bool {
-        self.raster.keeps_backs()
+        self.raster.minds_order()
     }
 }
 

@@ -847,11 +847,11 @@ impl CubeRaster {
         counts[0] as f32 / larger(counts[1] as f32, 1.0)
     }
 
-    /// Whether it makes a difference which of two pieces at nearly one place is drawn first.
+    /// Whether it makes a difference which of two pieces at nearly one place is drawn first: whose backs those are that are seen, where there is no light.
     #[must_use]
     #[inline(always)]
-    pub fn keeps_backs(&self) -> bool {
-        self.keeps_backs
+    pub fn minds_order(&self) -> bool {
+        self.keeps_backs && !self.shines
     }
 
     /// Whether any piece may carry light.
