@@ -93,17 +93,19 @@ impl Gatherer<'_> {
         let all = sum(shading.surface_irradiance) + sum(shading.environment_irradiance);
         for number in 0..self.lamps.numbered().len() {
             let lamp = self.lamps.numbered()[number];
-            if self.raster.lamps()[number].may_be_cut()
+            let seen = self.raster.lamps()[number];
+            // Where more of it was drawn than there is, other bright surfaces lie in its box, in nodes that are not bright as one.
+            if seen.may_be_cut()
+                && seen.drawn <= (1.0 + WHOLE_LAMP_ERROR) * sum(lamp.irradiance)
                 && sum(lamp.irradiance) > LAMP_SHARE * all
                 && let Some((frame, half_widths)) = window_around(&lamp)
                 && half_widths[0].max(half_widths[1]) < WIDEST_WINDOW
             {
                 self.lamp_window.aim(frame, half_widths);
-                if let Some(seen) = self.look_at_lamp(&lamp, place)? {
-                    let found = self.raster.lamps()[number].irradiance;
+                if let Some(shown) = self.look_at_lamp(&lamp, place)? {
                     for channel in 0..3 {
-                        let others = shading.surface_irradiance[channel] - found[channel];
-                        shading.surface_irradiance[channel] = others.max(0.0) + seen[channel];
+                        let others = shading.surface_irradiance[channel] - seen.irradiance[channel];
+                        shading.surface_irradiance[channel] = others.max(0.0) + shown[channel];
                     }
                 }
             }

@@ -462,10 +462,13 @@ impl CubeRaster {
             return;
         }
         let &Ink { solid_angle, radiance, tolerance, lamp, .. } = ink;
-        if let Some(lamp) = lamp
-            && solid_angle >= LARGE_LAMP_SR
-        {
-            self.lamps[usize::from(lamp)].note_large();
+        if let Some(lamp) = lamp {
+            let seen = &mut self.lamps[usize::from(lamp)];
+            if solid_angle >= LARGE_LAMP_SR {
+                seen.note_large();
+            }
+            let weight = solid_angle * self.normal.dot(toward);
+            seen.note_drawn(weight / larger(toward.length(), f32::MIN_POSITIVE), &radiance);
         }
         if met == 0 {
             self.hits.truncate(hits_start);

@@ -1,5 +1,7 @@
 //! What a cube raster sees of lamps.
 
+use pbgi_math::larger;
+
 /// Lamps that are told apart by number, and one more number for all others.
 pub const LAMPS: usize = 33;
 
@@ -11,6 +13,8 @@ pub const NO_LAMP: u8 = (LAMPS - 1) as u8;
 pub struct LampSeen {
     /// Irradiance from what shows of it, W·m⁻².
     pub irradiance: [f32; 3],
+    /// The same of all channels together from what was drawn of it, if nothing hid it.
+    pub drawn: f32,
     /// Whether any sample in its texels is hidden from its plane by what is no lamp.
     is_hidden: bool,
     /// Whether any sample in its texels is not hidden from its plane.
@@ -39,6 +43,12 @@ impl LampSeen {
     pub(crate) fn note(&mut self, above: u16, hidden: u16, of_lamps: u16) {
         self.is_hidden |= above & hidden & !of_lamps != 0;
         self.is_open |= above & !hidden != 0;
+    }
+
+    /// Notes what a part that is drawn shines if nothing hides it.
+    #[inline(always)]
+    pub(crate) fn note_drawn(&mut self, weight: f32, radiance: &[f32; 3]) {
+        self.drawn += larger(weight, 0.0) * (radiance[0] + radiance[1] + radiance[2]);
     }
 
     /// Adds irradiance.
