@@ -71,13 +71,8 @@ impl LobeSum {
 
     /// Adds another lobe.
     pub fn add(&mut self, other: &Self) {
-        let mut other = *other;
         if !self.blocks_back {
-            let twice = self.covered_twice(&other);
-            if twice > 0.0 {
-                self.hide_rear(&mut other, twice);
-            }
-            self.covered -= twice;
+            self.covered -= self.covered_twice(other);
             self.bounds = self.bounds.union(other.bounds);
         }
         self.covered += other.covered;
@@ -89,17 +84,6 @@ impl LobeSum {
         for (sum, part) in self.flux.iter_mut().zip(other.flux) {
             *sum += part;
         }
-    }
-
-    /// Takes the light of the rear one of two sheets, of which this area is covered by both, from what is seen: along their common normal the front one
-    /// hides it.
-    fn hide_rear(&mut self, other: &mut Self, twice: f64) {
-        let normal = self.vector + other.vector;
-        let heights = [&*self, &*other].map(|lobe| normal.dot(lobe.moment / lobe.area));
-        let rear = if heights[0] < heights[1] { self } else { other };
-        let shown = (1.0 - twice / rear.covered).max(0.0);
-        rear.seen *= shown;
-        rear.flux = rear.flux.map(|f| f * shown);
     }
 
     /// Area that two sheets, in planes apart from each other, both cover along their common normal: each is taken to be spread evenly and
