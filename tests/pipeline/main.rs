@@ -1,6 +1,7 @@
 //! The whole pipeline against oracles and closed forms.
 #![allow(missing_docs, reason = "tests are named by what they claim")]
 
+mod buried;
 mod closed_forms;
 mod cycles;
 mod faults;

@@ -17,6 +17,8 @@ pub struct LobeSum {
     pub flux: [f64; 3],
     /// `Σ aᵢ` of these: what lies inside of walls does not darken them.
     pub seen: f64,
+    /// `Σ aᵢ xᵢ` of these: nor does it move their plane.
+    pub seen_moment: DVec3,
     /// Whether backs block.
     pub blocks_back: bool,
     /// Area that sheets cover, seen along `vector`: what lies behind other parts of the lobe does not count. `area` where backs block.
@@ -56,6 +58,7 @@ impl LobeSum {
             moment: surfel.center().as_dvec3() * area,
             flux: surfel.radiance.map(|c| f64::from(c) * seen),
             seen,
+            seen_moment: surfel.center().as_dvec3() * seen,
             blocks_back,
             covered: area,
             loose: 0.0,
@@ -80,6 +83,7 @@ impl LobeSum {
         self.area += other.area;
         self.loose += other.loose;
         self.seen += other.seen;
+        self.seen_moment += other.seen_moment;
         self.moment += other.moment;
         for (sum, part) in self.flux.iter_mut().zip(other.flux) {
             *sum += part;
@@ -93,7 +97,7 @@ impl LobeSum {
         if normal == DVec3::ZERO {
             return 0.0;
         }
-        let apart = normal.dot(self.moment / self.area - other.moment / other.area).abs();
+        let apart = normal.dot(self.place() - other.place()).abs();
         let frame = Frame::from_normal(normal.as_vec3());
         let side = |bounds: &Aabb, axis: Vec3| {
             let (center, half) = (bounds.center().dot(axis), 0.5 * bounds.extent().dot(axis.abs()));
@@ -125,6 +129,11 @@ impl LobeSum {
         stencil_axis(Lobe::decoded_direction(self.vector.as_vec3()))
     }
 
+    /// Mean place of what is seen, or of all if nothing is.
+    fn place(&self) -> DVec3 {
+        if self.seen > 0.0 { self.seen_moment / self.seen } else { self.moment / self.area }
+    }
+
     /// Mean radiance of what is seen.
     pub(crate) fn radiance(&self) -> [f32; 3] {
         if self.seen > 0.0 { self.flux.map(|f| (f / self.seen) as f32) } else { [0.0; 3] }
@@ -142,7 +151,7 @@ impl LobeSum {
             // A flat box has some thickness: normals scatter, and its corners are rounded.
             let half = half.max(DVec3::splat(1e-3 * half.max_element()));
             let reach = normal.abs().dot(half).max(f64::MIN_POSITIVE);
-            height = (normal.dot(self.moment / self.area - center) / reach).clamp(-1.0, 1.0);
+            height = (normal.dot(self.place() - center) / reach).clamp(-1.0, 1.0);
             let axis = self.stencil_axis();
             // The covered cells, laid into the plane.
             let edges = half * 2.0;

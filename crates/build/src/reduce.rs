@@ -258,6 +258,7 @@ mod tests {
             area,
             flux: [light * area; 3],
             seen: area,
+            seen_moment: DVec3::ZERO,
             blocks_back: true,
             covered: area,
             ..LobeSum::default()
@@ -302,6 +303,7 @@ mod tests {
                         moment: DVec3::splat(i as f64) * area,
                         flux: [light * area; 3],
                         seen: area,
+                        seen_moment: DVec3::splat(i as f64) * area,
                         blocks_back: round % 3 > 0 || i % 2 == 0,
                         covered: area,
                         bounds: Aabb::EMPTY,

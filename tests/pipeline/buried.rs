@@ -1,0 +1,101 @@
+//! Surfaces that stick in others, as things that are put together from parts have them.
+
+use crate::support::{bake_and_open, gather};
+use pbgi_bounce::light_on_surfels;
+use pbgi_build::BuildOptions;
+use pbgi_cloud::{Surfel, SurfelFlags};
+use pbgi_gather::{GatherSettings, Gatherer, PreparedLight, Receiver};
+use pbgi_image::RgbImage;
+use pbgi_light::{Environment, EnvironmentOptions};
+use pbgi_math::Vec3;
+use pbgi_schedule::ShadeOptions;
+use pbgi_testkit::{SurfelForm, closed_room, sphere_directions};
+use std::f32::consts::{FRAC_1_PI, PI};
+
+/// Surfels of a box, `per_edge` rectangles along each edge, its fronts outside.
+fn boxed(low: Vec3, high: Vec3, per_edge: usize) -> Vec<Surfel> {
+    let (center, half) = ((low + high) * 0.5, (high - low) * 0.5);
+    let mut surfels = Vec::new();
+    for face in 0..6 {
+        let (axis, sign) = (face % 3, if face < 3 { 1.0 } else { -1.0 });
+        let [x, y, z] = [axis, (axis + 1) % 3, (axis + 2) % 3].map(|axis| Vec3::AXES[axis]);
+        let edges = [y * half.dot(y), z * half.dot(z)].map(|edge| edge / per_edge as f32);
+        let long = usize::from(edges[1].length() > edges[0].length());
+        let [longer, shorter] = [edges[long].length(), edges[1 - long].length()];
+        for place in 0..per_edge * per_edge {
+            let at = |i: usize| (2 * i + 1) as f32 - per_edge as f32;
+            let offset = edges[0] * at(place % per_edge) + edges[1] * at(place / per_edge);
+            let middle = center + x * (sign * half.dot(x)) + offset;
+            let face = Surfel::new(middle, x * sign, longer.hypot(shorter), 4.0 * longer * shorter);
+            surfels.push(face.with_tile(edges[long], longer / shorter));
+        }
+    }
+    surfels
+}
+
+/// The upper side of a ledge, whose center lies in its wall, is lit as the strip of it before the wall is, and what is wholly in the wall is known to be.
+#[test]
+fn ledges_are_lit_as_what_stands_out_of_their_walls() {
+    let wall = boxed(Vec3::new(-4.0, -4.0, -2.0), Vec3::new(4.0, 4.0, 0.0), 16);
+    let ledge = boxed(Vec3::new(-0.6, -0.1, -0.6), Vec3::new(0.6, 0.0, 0.4), 1);
+    let (top, rear) = (ledge[1], ledge[5]);
+    assert_eq!((top.normal(), rear.normal()), (Vec3::Y, Vec3::NEG_Z));
+    assert!(top.center().z < 0.0);
+    let surfels = [wall, ledge].concat();
+    let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
+    let image = RgbImage { width: 8, height: 4, pixels: vec![[1.0; 3]; 32] };
+    let sky = Environment::from_image(image, EnvironmentOptions::default()).unwrap();
+    for (solid_angle_sr, raster_edge) in [(0.2, 6), (0.04, 16)] {
+        let gather = GatherSettings { solid_angle_sr, raster_edge, ..GatherSettings::default() };
+        let light = PreparedLight::new(&sky, raster_edge);
+        let options = ShadeOptions { gather, ..ShadeOptions::default() };
+        let found =
+            light_on_surfels(&octree, Some(&light), &[&top, &rear, &surfels[0]], &options).unwrap();
+        // In the middle of the strip, 0.2 before a wall that is as good as infinite.
+        let mut gatherer = Gatherer::new(octree.reader(), &gather, Some(&light));
+        let strip = Receiver::diffuse(Vec3::new(0.0, 0.0, 0.2), Vec3::Y);
+        let expected = gatherer.gather(&strip).unwrap().irradiance()[0];
+        assert!((expected / PI - 0.5).abs() < 0.05, "{expected}");
+        assert!((found[0].irradiance[0] / expected - 1.0).abs() < 0.05, "{found:?}");
+        let buried: Vec<bool> = found.iter().map(|light| light.is_buried).collect();
+        assert_eq!(buried, [false, true, false], "{found:?}");
+    }
+}
+
+/// A room of radiance 1 with black things in its walls, close behind their surface and parallel to it: where each surfel is looked at for itself, none shows;
+/// where nodes are, they must know.
+#[test]
+fn things_in_walls_do_not_darken_them() {
+    let room = closed_room(Vec3::splat(2.0), 20, 1.0, SurfelForm::Rectangles);
+    for flags in [SurfelFlags::default(), SurfelFlags::BURIED] {
+        let mut surfels = room.clone();
+        for wall in room.iter().step_by(2) {
+            // As large as four of the wall's.
+            let depth = 0.02 + 0.03 * (wall.center().length() * 7.0).fract();
+            let hidden = Surfel::new(
+                wall.center() - wall.normal() * depth,
+                wall.normal(),
+                2.0 * wall.radius,
+                4.0 * wall.area,
+            );
+            let along = wall.half_edges().unwrap()[0];
+            surfels.push(hidden.with_tile(along, 1.0).with_flags(flags));
+        }
+        let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
+        for (solid_angle_sr, raster_edge) in [(0.0, 16), (0.0, 8), (0.04, 16), (0.2, 6)] {
+            if solid_angle_sr > 0.0 && flags == SurfelFlags::default() {
+                continue;
+            }
+            let settings =
+                GatherSettings { solid_angle_sr, raster_edge, ..GatherSettings::default() };
+            let (count, mut sum) = (60, 0.0);
+            for (i, normal) in sphere_directions(count).enumerate() {
+                let f = |k: usize| ((i * k) % 37) as f32 / 37.0 * 2.4 - 1.2;
+                let position = Vec3::new(f(5), f(11), f(17));
+                let found = gather(&octree, &settings, Receiver::diffuse(position, normal));
+                sum += found.surface_irradiance[0] * FRAC_1_PI / count as f32;
+            }
+            assert!((sum - 1.0).abs() < 0.002, "{solid_angle_sr} sr, {raster_edge}: {sum}");
+        }
+    }
+}
