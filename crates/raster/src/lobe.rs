@@ -29,8 +29,8 @@ const TRANSMITTANCE_MIN: f32 = 0.01;
 
 /// Directions around a receiver, in groups of sixteen neighbors, with what covers each: its depth and its radiance.
 ///
-/// Pieces arrive nearest first, or nearly. A direction is covered by the first opaque piece that meets it; what is translucent, or
-/// a particle smaller than what the direction stands for, lets some of what is behind show through. A piece small beside the
+/// Pieces arrive nearest first, or nearly. A direction is covered by the nearest opaque piece that meets it; what is translucent, or
+/// a particle smaller than what the direction stands for, lets some of what comes later show through. A piece small beside the
 /// gaps between directions shines by its own solid angle, times what shows through of the directions it meets.
 #[derive(Clone, Debug, Default)]
 pub struct LobeRaster {
@@ -47,6 +47,8 @@ pub struct LobeRaster {
     /// What shows through what is before that.
     transmittance: Vec<[f32; SAMPLES]>,
     radiance: Vec<[[f32; SAMPLES]; 3]>,
+    /// What of it is of what covers each direction: it is taken back where something nearer comes later.
+    covering: Vec<[[f32; SAMPLES]; 3]>,
     /// Cones around the groups, sixteen groups at a time: axes, cosines and sines of half-angles.
     cones: Vec<[[f32; SAMPLES]; 5]>,
     /// Groups with open directions.
@@ -83,6 +85,8 @@ impl LobeRaster {
         self.transmittance.resize(groups, [1.0; SAMPLES]);
         self.radiance.clear();
         self.radiance.resize(groups, [[0.0; SAMPLES]; 3]);
+        self.covering.clear();
+        self.covering.resize(groups, [[0.0; SAMPLES]; 3]);
         self.reflected = [0.0; 3];
         let sets = groups.div_ceil(SAMPLES);
         self.cones.clear();
@@ -148,8 +152,8 @@ impl LobeRaster {
         let is_whole = ink.is_whole();
         let (mut met_count, mut visible) = (0, 0.0);
         for set in 0..self.met.len() {
-            // A piece that shines by its own solid angle wants to know how much of it is hidden.
-            let mut rest = if is_whole { self.met[set] } else { self.met[set] & self.open[set] };
+            // Also where all is covered: a piece that shines by its own solid angle wants to know how much of it is hidden, others may be nearer.
+            let mut rest = self.met[set];
             while rest != 0 {
                 let lane = rest.trailing_zeros() as usize;
                 rest &= rest - 1;
@@ -174,7 +178,22 @@ impl LobeRaster {
                     let hidden = before & L::bits(w.mul(nearer).le(L::load(&self.depths[group])));
                     visible += sum_where(through, met & !hidden);
                 }
-                let new = met & !before;
+                let mut new = met & !before;
+                if ink.veil.is_opaque() {
+                    // Before what covers it already, unless that let through next to nothing.
+                    let is_behind = L::bits(w.le(L::load(&self.depths[group])));
+                    let is_seen = L::bits(L::splat(TRANSMITTANCE_MIN).le(L::load(through)));
+                    let nearer_ones = met & before & !is_behind & is_seen;
+                    if nearer_ones != 0 {
+                        let planes = self.radiance[group].iter_mut();
+                        for (plane, covering) in planes.zip(&mut self.covering[group]) {
+                            let left = L::load(plane).sub(L::load(covering));
+                            left.store_where(nearer_ones, plane);
+                            L::splat(0.0).store_where(nearer_ones, covering);
+                        }
+                        new |= nearer_ones;
+                    }
+                }
                 if new == 0 {
                     continue;
                 }
@@ -186,8 +205,11 @@ impl LobeRaster {
                     covered &= L::bits(left.le(L::splat(TRANSMITTANCE_MIN)));
                 }
                 if ink.radiance != [0.0; 3] {
-                    for (plane, light) in self.radiance[group].iter_mut().zip(ink.radiance) {
-                        L::load(plane).add(taken.mul(L::splat(light))).store_where(new, plane);
+                    let planes = self.radiance[group].iter_mut().zip(&mut self.covering[group]);
+                    for ((plane, covering), light) in planes.zip(ink.radiance) {
+                        let added = taken.mul(L::splat(light));
+                        L::load(plane).add(added).store_where(new, plane);
+                        added.store_where(covered, covering);
                     }
                 }
                 w.store_where(covered, &mut self.depths[group]);
@@ -341,7 +363,7 @@ mod tests {
     }
 
     fn draw(raster: &mut LobeRaster, disk: Disk, ink: &LobeInk) -> bool {
-        assert!(raster.is_open::<Plain>(disk.center - disk.radius, disk.center + disk.radius));
+        let _ = raster.is_open::<Plain>(disk.center - disk.radius, disk.center + disk.radius);
         raster.draw::<Plain, _>(&disk, ink)
     }
 
@@ -351,6 +373,25 @@ mod tests {
 
     fn light(raster: &LobeRaster) -> f32 {
         (0..4).flat_map(|g| raster.radiance(g)[0]).sum()
+    }
+
+    #[test]
+    fn the_nearest_piece_covers_in_any_order() {
+        let ink = |radiance| LobeInk {
+            veil: Veil::OPAQUE,
+            radiance: [radiance; 3],
+            ..LobeInk::default()
+        };
+        let pieces = [(disk(-5.0, 1.0, 5.0), 2.0), (disk(0.0, 2.0, 9.0), 3.0)];
+        let mut found = Vec::new();
+        for order in [[0, 1], [1, 0]] {
+            let mut raster = raster();
+            for (disk, radiance) in order.map(|index| pieces[index]) {
+                assert!(draw(&mut raster, disk, &ink(radiance)));
+            }
+            found.push(light(&raster));
+        }
+        assert_eq!(found, [160.0; 2]);
     }
 
     #[test]
