@@ -29,10 +29,10 @@ pub const CASES: [&str; 13] = [
 ];
 
 /// Cases that have no picture: others show nearly the same.
-pub const WITHOUT_PICTURE: [&str; 2] = ["cornell", "fire30"];
+pub const WITHOUT_PICTURE: [&str; 4] = ["cornell", "sponza1", "street1", "fire30"];
 
-/// Surfels of a case whose surfels are lit by bounces, over those of the others: the box is small and smooth.
-const LIT_SHARE: u64 = 10;
+/// How many times fewer surfels the box has than other scenes: it is small and smooth.
+const BOX_SHARE: u64 = 10;
 
 /// The material of the fire's scene that reflects.
 const WET_GROUND: &str = "wet_ground";
@@ -123,7 +123,7 @@ impl Case {
 
     /// Surfels where most cases have `surfels`.
     pub fn surfels(&self, surfels: u64) -> u64 {
-        if self.bounces > 0 { surfels / LIT_SHARE } else { surfels }
+        if self.bounces > 0 && self.sky.is_none() { surfels / BOX_SHARE } else { surfels }
     }
 
     pub fn view(&self, width: u32) -> CameraView {

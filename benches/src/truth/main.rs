@@ -37,7 +37,7 @@ struct Arguments {
     /// Folder with embers.glb.
     #[arg(long, default_value = "../shared/reference")]
     reference: PathBuf,
-    /// Surfels per scene; a tenth of it where light bounces.
+    /// Surfels per scene; a tenth of it in the box.
     #[arg(long, default_value_t = pbgi::DEFAULT_SURFELS)]
     surfels: u64,
     /// Columns of the picture whose first hits are the receivers; 9 rows to 16 columns.

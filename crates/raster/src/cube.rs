@@ -161,8 +161,8 @@ struct Drawn {
     hits_end: u32,
 }
 
-/// Pieces and hits that wait for others that may hide them, at most: 1.8 MiB. The default cut has a tenth of them; what comes later is farther, give or take the
-/// size of a surfel.
+/// Pieces and hits that wait for others that may hide them, at most: 1.8 MiB. The default cut has a third of them at most; what comes later is farther, give or
+/// take the size of a surfel.
 const DRAWN_MAX: usize = 1 << 14;
 const HITS_MAX: usize = 1 << 16;
 
