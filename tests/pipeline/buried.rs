@@ -62,6 +62,31 @@ fn ledges_are_lit_as_what_stands_out_of_their_walls() {
     }
 }
 
+/// Below a roof that has no ceiling, backs fill most of the hemisphere, and what lies there is seen all the same.
+#[test]
+fn what_lies_below_a_roof_without_a_ceiling_is_not_buried() {
+    let tile = |center: Vec3, normal: Vec3, half: f32| {
+        Surfel::new(center, normal, half * 2f32.sqrt(), 4.0 * half * half).with_tile(Vec3::X, 1.0)
+    };
+    let floor = tile(Vec3::ZERO, Vec3::Y, 0.5);
+    let roof = (0..36).map(|i| {
+        let [x, z] = [i % 6, i / 6].map(|place| place as f32 - 2.5);
+        tile(Vec3::new(x, 1.0, z), Vec3::Y, 0.5)
+    });
+    let surfels: Vec<Surfel> = roof.chain([floor]).collect();
+    let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
+    let gather =
+        GatherSettings { solid_angle_sr: 0.2, raster_edge: 6, ..GatherSettings::default() };
+    let settings = GatherSettings { finds_backs: true, ..gather };
+    let receiver = Receiver::diffuse(floor.center(), floor.normal());
+    let found = Gatherer::new(octree.reader(), &settings, None).gather(&receiver).unwrap();
+    // The face of the cube overhead, and of the upper half of four others two thirds: seven ninths of what is over the horizon.
+    assert!((found.backs - 7.0 / 9.0).abs() < 0.01, "{found:?}");
+    let options = ShadeOptions { gather, ..ShadeOptions::default() };
+    let found = light_on_surfels(&octree, None, &[&floor], &options).unwrap();
+    assert!(!found[0].is_buried);
+}
+
 /// A room of radiance 1 with black things in its walls, close behind their surface and parallel to it: where each surfel is looked at for itself, none shows;
 /// where nodes are, they must know.
 #[test]

@@ -50,7 +50,7 @@ pub struct Shading {
     pub reflected: [f32; 3],
     /// What the gloss would reflect of uniform light, 0..=1: what a diffuse base below it does not get.
     pub gloss_albedo: [f32; 3],
-    /// Share of the directions over the horizon in which a black back is seen first: 1 inside of something solid; 0 unless
+    /// Share of the raster's samples over the horizon in which a black back is seen first: 1 inside of something solid; 0 unless
     /// [`crate::GatherSettings::finds_backs`] asks for it.
     pub backs: f32,
     /// Entries of the cut.
