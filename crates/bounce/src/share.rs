@@ -47,6 +47,25 @@ pub fn cell_len(
 }
 
 impl Shared {
+    /// Surfels at both ends of the groups that are asked for again, by their places in `chosen`: the first and the last of each that was not gathered
+    /// for, with the group's place.
+    pub fn ends(&self, is_asked_again: impl Fn(usize) -> bool) -> Vec<(u32, u32)> {
+        let mut ends = vec![[None; 2]; self.chosen.len()];
+        for (surfel, &place) in self.place.iter().enumerate() {
+            let (surfel, group) = (surfel as u32, place as usize);
+            if self.chosen[group] != surfel && is_asked_again(group) {
+                ends[group][0].get_or_insert(surfel);
+                ends[group][1] = Some(surfel);
+            }
+        }
+        let mut found = Vec::new();
+        for (group, [first, last]) in ends.into_iter().enumerate() {
+            found.extend(first.map(|surfel| (group as u32, surfel)));
+            found.extend(last.filter(|_| first != last).map(|surfel| (group as u32, surfel)));
+        }
+        found
+    }
+
     /// Adds the surfels of one cell: those on one surface share the gather of the one nearest to
     /// their middle.
     ///
@@ -137,6 +156,13 @@ mod tests {
             let window = &surfels[..=most];
             assert_eq!(cell_len(window, None, most), lengths[0]);
         }
+    }
+
+    #[test]
+    fn ends_are_those_that_were_not_chosen() {
+        let shared = Shared { chosen: vec![1, 4, 5], place: vec![0, 0, 0, 0, 1, 2, 2] };
+        assert_eq!(shared.ends(|group| group != 1), [(0, 0), (0, 3), (2, 6)]);
+        assert!(shared.ends(|group| group == 1).is_empty());
     }
 
     #[test]

@@ -236,7 +236,8 @@ impl<'a> RelitStream<'a> {
     }
 
     /// What falls on the chosen surfels.
-    fn gather(&self, Shared { chosen, place }: &Shared) -> Result<Vec<SurfelLight>, PbgiError> {
+    fn gather(&self, shared: &Shared) -> Result<Vec<SurfelLight>, PbgiError> {
+        let Shared { chosen, place } = shared;
         let PassSettings { light, octree, .. } = self.pass;
         let chosen: Vec<&Surfel> = chosen.iter().map(|&i| &self.ahead[i as usize].1).collect();
         // Surfels done with each receiver, on average.
@@ -248,7 +249,17 @@ impl<'a> RelitStream<'a> {
             progress: &|done| self.pass.phase.set_done(self.done + surfels(done)),
             ..ShadeOptions::default()
         };
-        Ok(light_on_surfels(octree, light.environment.as_ref(), &chosen, &options)?)
+        let environment = light.environment.as_ref();
+        let mut found = light_on_surfels(octree, environment, &chosen, &options)?;
+        // Those that share with one that is buried may be seen.
+        let ends = shared.ends(|group| found[group].is_buried);
+        let surfels: Vec<&Surfel> = ends.iter().map(|&(_, i)| &self.ahead[i as usize].1).collect();
+        let again = ShadeOptions { progress: &|_| {}, ..options };
+        let seen = light_on_surfels(octree, environment, &surfels, &again)?;
+        for (&(group, _), light) in ends.iter().zip(seen).filter(|(_, light)| !light.is_buried) {
+            found[group as usize] = light;
+        }
+        Ok(found)
     }
 }
 
