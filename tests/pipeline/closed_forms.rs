@@ -1,6 +1,6 @@
 //! Closed forms and the ray-cast oracle.
 
-use crate::support::{bake_and_open, gather};
+use crate::support::{bake_and_open, gather, mean_radiance_in_room};
 use pbgi_build::BuildOptions;
 use pbgi_cloud::{Surfel, SurfelFlags};
 use pbgi_gather::{GatherSettings, ImportanceTerms, Receiver};
@@ -328,13 +328,7 @@ fn thin_boxes_before_walls_take_none_of_their_light() {
     let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
     for (solid_angle_sr, raster_edge) in [(0.0, 16), (0.0, 8), (0.04, 16), (0.1, 8)] {
         let settings = GatherSettings { solid_angle_sr, raster_edge, ..GatherSettings::default() };
-        let (count, mut sum) = (60, 0.0);
-        for (i, normal) in sphere_directions(count).enumerate() {
-            let f = |k: usize| ((i * k) % 37) as f32 / 37.0 * 2.4 - 1.2;
-            let position = Vec3::new(f(5), f(11), f(17));
-            let found = gather(&octree, &settings, Receiver::diffuse(position, normal));
-            sum += found.surface_irradiance[0] * FRAC_1_PI / count as f32;
-        }
+        let sum = mean_radiance_in_room(&octree, &settings);
         assert!((sum - 1.0).abs() < 0.005, "{solid_angle_sr} sr, {raster_edge} texels: {sum}");
     }
 }

@@ -5,8 +5,10 @@ use pbgi_build::{
 };
 use pbgi_cloud::{Surfel, SurfelFlags};
 use pbgi_gather::{GatherSettings, Gatherer, Receiver, Shading};
-use pbgi_math::{DVec3, MortonCode};
+use pbgi_math::{DVec3, MortonCode, Vec3};
 use pbgi_store::{Octree, OpenOptions};
+use pbgi_testkit::sphere_directions;
+use std::f32::consts::FRAC_1_PI;
 use std::path::Path;
 
 /// Sorted surfels handed out in chunks of a given size.
@@ -58,6 +60,18 @@ pub fn bake_and_open(
     let octree =
         Octree::open(&path, &OpenOptions { readers: 2, ..OpenOptions::default() }).unwrap();
     (folder, octree)
+}
+
+/// Mean of E/π of receivers all over a room of half-extents of 2, facing all directions: its radiance, where that is the same everywhere.
+pub fn mean_radiance_in_room(octree: &Octree, settings: &GatherSettings) -> f32 {
+    let (count, mut sum) = (60, 0.0);
+    for (i, normal) in sphere_directions(count).enumerate() {
+        let f = |k: usize| ((i * k) % 37) as f32 / 37.0 * 2.4 - 1.2;
+        let position = Vec3::new(f(5), f(11), f(17));
+        let found = gather(octree, settings, Receiver::diffuse(position, normal));
+        sum += found.surface_irradiance[0] * FRAC_1_PI / count as f32;
+    }
+    sum
 }
 
 /// What a receiver receives from surfels alone.
