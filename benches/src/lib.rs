@@ -134,5 +134,5 @@ mod svg;
 
 pub use caster::{BOUNCES_MAX, Caster, Gathered, Hit, PATHS_MAX, first_bounce};
 pub use light_sampler::{SkyImage, SkySample};
-pub use lit::{light_up, lit_surfels, read_sorted, scene_surfels};
+pub use lit::{bake_settings, light_up, lit_surfels, read_sorted, scene_surfels};
 pub use svg::{Line, plot};

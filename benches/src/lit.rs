@@ -2,8 +2,9 @@
 
 use crate::{bake, dice};
 use anyhow::{Result, bail};
-use pbgi_bounce::{SurfelLight, light_on_surfels};
-use pbgi_cloud::{CloudOptions, SliceSource, Surfel, SurfelFlags, open_cloud};
+use pbgi::LightRequest;
+use pbgi_bounce::light_on_surfels;
+use pbgi_cloud::{CloudOptions, SliceSource, Surfel, open_cloud};
 use pbgi_gather::{GatherSettings, PreparedLight};
 use pbgi_image::read_environment;
 use pbgi_light::{Environment, EnvironmentOptions, SkyParameters, synthetic_sky};
@@ -12,7 +13,6 @@ use pbgi_scene::{procedural_scene, read_scene};
 use pbgi_schedule::ShadeOptions;
 use pbgi_sort::{EstimateOptions, SortOptions, SortedSurfels, estimate_surfels, sort_surfels};
 use pbgi_store::Octree;
-use std::f32::consts::PI;
 use std::path::Path;
 
 /// What lights the scenes, where the folder of data has it.
@@ -51,11 +51,16 @@ pub fn lit_surfels(name: &str, count: u64, data: &Path) -> Result<Option<Vec<Sur
         false => synthetic_sky(1024, 512, &SkyParameters::default()),
     };
     let environment = Environment::from_image(image, EnvironmentOptions::default())?;
-    // The quality of `pbgi-bake --env`.
-    let settings =
-        GatherSettings { solid_angle_sr: 0.2, raster_edge: 6, up, ..GatherSettings::default() };
+    let settings = GatherSettings { up, ..bake_settings() };
     let light = PreparedLight::new(&environment, settings.raster_edge);
     Ok(Some(light_up(&octree, Some(&light), &surfels, &settings)?))
+}
+
+/// How `pbgi bake` gathers light for surfels unless told otherwise.
+#[must_use]
+pub fn bake_settings() -> GatherSettings {
+    let LightRequest { solid_angle_sr, raster_edge, .. } = LightRequest::default();
+    GatherSettings { solid_angle_sr, raster_edge, ..GatherSettings::default() }
 }
 
 /// About `count` points with sizes and normals estimated, as `pbgi-bake` does it.
@@ -95,12 +100,5 @@ pub fn light_up(
     let places: Vec<&Surfel> = surfels.iter().collect();
     let options = ShadeOptions { gather: *settings, threads: 2, ..ShadeOptions::default() };
     let found = light_on_surfels(octree, light, &places, &options)?;
-    let lit = |(surfel, light): (&Surfel, SurfelLight)| {
-        let albedo = surfel.albedo_rgb();
-        let radiance =
-            std::array::from_fn(|c| surfel.radiance[c] + albedo[c] / PI * light.irradiance[c]);
-        let buried = if light.is_buried { SurfelFlags::BURIED } else { SurfelFlags::default() };
-        surfel.with_radiance(radiance).with_flags(buried)
-    };
-    Ok(surfels.iter().zip(found).map(lit).collect())
+    Ok(surfels.iter().zip(found).map(|(s, light)| light.shine_on(s, f32::MAX)).collect())
 }

@@ -4,7 +4,7 @@ use crate::cases::{Case, Light};
 use crate::paths::SECONDS_MIN;
 use crate::workers::spread;
 use anyhow::Result;
-use pbgi_benches::{ThreadTimer, bake, dice, light_up};
+use pbgi_benches::{ThreadTimer, bake, bake_settings, dice, light_up};
 use pbgi_gather::{GatherParts, GatherSettings, Gatherer, PreparedLight, Receiver, Shading};
 use pbgi_light::{Environment, EnvironmentOptions};
 use pbgi_store::Octree;
@@ -89,8 +89,11 @@ impl Setting {
 pub fn bake_case(case: &Case, surfels: u64, path: &Path) -> Result<Octree> {
     let surfels = dice(&case.scene, surfels)?;
     let mut octree = bake(&surfels, path)?;
-    let setting = Setting { solid_angle_sr: 0.2, raster_edge: 6, ..Setting::default() };
-    let (settings, light) = (setting.gather(case), setting.light(case)?);
+    if case.bounces == 0 {
+        return Ok(octree);
+    }
+    let settings = bake_settings();
+    let light = Setting { raster_edge: settings.raster_edge, ..Setting::default() }.light(case)?;
     for _ in 0..case.bounces {
         octree = bake(&light_up(&octree, light.as_ref(), &surfels, &settings)?, path)?;
     }

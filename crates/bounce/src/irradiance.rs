@@ -1,10 +1,11 @@
 //! Irradiance of surfels, also of those that stand out of others in part.
 
-use pbgi_cloud::Surfel;
+use pbgi_cloud::{Surfel, SurfelFlags};
 use pbgi_gather::{PreparedLight, Receiver, Shading};
 use pbgi_math::Vec3;
 use pbgi_schedule::{ScheduleError, ShadeOptions, shade_receivers};
 use pbgi_store::Octree;
+use std::f32::consts::PI;
 
 /// Share of the directions from which on a place that sees backs there first is inside of something solid: in the walls of a street, where things are that
 /// stick in them, backs fill 0.6 to 0.7, and 0.03 a centimeter outside.
@@ -27,6 +28,21 @@ pub struct SurfelLight {
     pub irradiance: [f32; 3],
     /// Whether it lies inside of something solid as a whole, so that nobody sees its light.
     pub is_buried: bool,
+}
+
+impl SurfelLight {
+    /// A surfel, whose radiance is its emission, in this light: of the radiance emission + albedo/π · irradiance, within 0 and `bound`, and marked if it is
+    /// buried.
+    #[must_use]
+    pub fn shine_on(&self, surfel: &Surfel, bound: f32) -> Surfel {
+        let albedo = surfel.albedo_rgb();
+        let radiance = std::array::from_fn(|c| {
+            let lit = surfel.radiance[c] + albedo[c] / PI * self.irradiance[c];
+            lit.max(0.0).min(bound)
+        });
+        let buried = if self.is_buried { SurfelFlags::BURIED } else { SurfelFlags::default() };
+        surfel.with_radiance(radiance).with_flags(buried)
+    }
 }
 
 /// What falls on surfels from those of an octree and an environment.
@@ -128,6 +144,22 @@ mod tests {
                 assert!(offset.y.abs() < 1e-3 && offset.length() <= surfel.radius, "{offset}");
             }
         }
+    }
+
+    #[test]
+    fn radiance_is_emission_and_reflected_light() {
+        let surfel = Surfel::new(Vec3::ZERO, Vec3::Y, 1.0, 1.0)
+            .with_radiance([1.0, 0.0, 0.0])
+            .with_albedo([0.5, 0.25, 0.0]);
+        let light = SurfelLight { irradiance: [PI, 2.0 * PI, 2.0 * PI], is_buried: false };
+        let lit = light.shine_on(&surfel, 9.0).radiance;
+        assert!((lit[0] - 1.5).abs() < 1e-6 && (lit[1] - 0.5).abs() < 1e-6 && lit[2] == 0.0);
+        assert_eq!(light.shine_on(&surfel, 1.0).radiance[0], 1.0);
+        let broken = SurfelLight { irradiance: [f32::NAN; 3], is_buried: true };
+        let lit = broken.shine_on(&surfel, 9.0);
+        assert!(lit.radiance.iter().all(|c| *c == 0.0));
+        assert!(lit.flags.contains(SurfelFlags::BURIED) && lit.albedo == surfel.albedo);
+        assert!(!light.shine_on(&surfel, 9.0).flags.contains(SurfelFlags::BURIED));
     }
 
     #[test]

@@ -20,8 +20,8 @@ const TILE_DEPTH: f32 = 0.05;
 /// The same for disks and their radius: they reach over each other and stand before their neighbors on a convex surface.
 const DISK_DEPTH: f32 = 0.5;
 
-/// How much nearer, as a share of the distance, what hides nothing of a back may be: as much as rounding moves what lies at one place. Before the back of
-/// a thin thing lies its front, which is no neighbor: as if it were, a wall with frames would be half as bright as it is.
+/// How much nearer, as a share of the distance, what hides nothing of a node's back may be, where some of a bent surface is still seen from its front: as much
+/// as rounding moves what lies at one place. Before the back of a thin thing lies its front, which is no neighbor. Of black backs nobody asks.
 const BACK_TOLERANCE: f32 = 1e-4;
 
 /// How much nearer, as a share of the distance, neighbors may be whose planes lie apart by this share of the extent: of a piece with
@@ -182,11 +182,7 @@ pub(crate) fn surfel_ink(seen: &SurfelSeen<'_>, outline: &Outline) -> Ink {
         solid_angle: surfel_solid_angle(seen),
         radiance: if cosine > 0.0 { surfel.radiance } else { [0.0; 3] },
         is_back: cosine <= 0.0,
-        tolerance: if cosine > 0.0 {
-            neighbor_tolerance(depth, extent / distance, cosine)
-        } else {
-            BACK_TOLERANCE
-        },
+        tolerance: neighbor_tolerance(depth, extent / distance, cosine),
         lamp: None,
     }
 }

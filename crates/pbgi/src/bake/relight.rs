@@ -9,7 +9,7 @@ use crate::progress::Phase;
 use crate::shade::{CHUNK_RECEIVERS, EnvironmentSpec, LoadedEnvironment};
 use pbgi_bounce::{Shared, SurfelLight, cell_len, light_on_surfels};
 use pbgi_build::{Piece, PieceSource, PieceTask, SortedStream, StreamError};
-use pbgi_cloud::{Surfel, SurfelFlags};
+use pbgi_cloud::Surfel;
 use pbgi_gather::{GatherSettings, PreparedLight};
 use pbgi_math::{MortonCode, Vec3};
 use pbgi_schedule::ShadeOptions;
@@ -239,7 +239,8 @@ impl<'a> RelitStream<'a> {
     fn gather(&self, shared: &Shared) -> Result<Vec<SurfelLight>, PbgiError> {
         let Shared { chosen, place } = shared;
         let PassSettings { light, octree, .. } = self.pass;
-        let chosen: Vec<&Surfel> = chosen.iter().map(|&i| &self.ahead[i as usize].1).collect();
+        let surfel = |index: u32| &self.ahead[index as usize].1;
+        let leaders: Vec<&Surfel> = chosen.iter().map(|&index| surfel(index)).collect();
         // Surfels done with each receiver, on average.
         let surfels = |done: u64| done * place.len() as u64 / chosen.len().max(1) as u64;
         let options = ShadeOptions {
@@ -250,12 +251,12 @@ impl<'a> RelitStream<'a> {
             ..ShadeOptions::default()
         };
         let environment = light.environment.as_ref();
-        let mut found = light_on_surfels(octree, environment, &chosen, &options)?;
+        let mut found = light_on_surfels(octree, environment, &leaders, &options)?;
         // Those that share with one that is buried may be seen.
         let ends = shared.ends(|group| found[group].is_buried);
-        let surfels: Vec<&Surfel> = ends.iter().map(|&(_, i)| &self.ahead[i as usize].1).collect();
+        let members: Vec<&Surfel> = ends.iter().map(|&(_, index)| surfel(index)).collect();
         let again = ShadeOptions { progress: &|_| {}, ..options };
-        let seen = light_on_surfels(octree, environment, &surfels, &again)?;
+        let seen = light_on_surfels(octree, environment, &members, &again)?;
         for (&(group, _), light) in ends.iter().zip(seen).filter(|(_, light)| !light.is_buried) {
             found[group as usize] = light;
         }
@@ -270,13 +271,8 @@ impl SortedStream for RelitStream<'_> {
         }
         let shared = self.share();
         let found = self.gather(&shared)?;
-        for ((code, mut surfel), place) in self.ahead.drain(..shared.place.len()).zip(&shared.place)
-        {
-            let SurfelLight { irradiance, is_buried } = found[*place as usize];
-            surfel.radiance = lit_radiance(&surfel, irradiance, self.pass.radiance_bound);
-            if is_buried {
-                surfel.flags = surfel.flags.with(SurfelFlags::BURIED);
-            }
+        for ((code, surfel), place) in self.ahead.drain(..shared.place.len()).zip(&shared.place) {
+            let surfel = found[*place as usize].shine_on(&surfel, self.pass.radiance_bound);
             self.radiance_max = surfel.radiance.iter().fold(self.radiance_max, |m, &c| m.max(c));
             out.push((code, surfel));
         }
@@ -285,15 +281,6 @@ impl SortedStream for RelitStream<'_> {
         self.pass.phase.set_done(self.done);
         Ok(!(self.is_read && self.ahead.is_empty()))
     }
-}
-
-/// Emission + albedo/π · irradiance, within 0 and `bound`.
-fn lit_radiance(surfel: &Surfel, irradiance: [f32; 3], bound: f32) -> [f32; 3] {
-    let albedo = surfel.albedo_rgb();
-    std::array::from_fn(|c| {
-        let lit = surfel.radiance[c] + albedo[c] / PI * irradiance[c];
-        lit.max(0.0).min(bound)
-    })
 }
 
 /// Ends a long loop once the user asked to stop.
@@ -320,18 +307,6 @@ mod tests {
         assert!((2.0..4.0).contains(&bound), "{bound}");
         let bound = light.radiance_bound(10.0, 5.0);
         assert!((17.0..25.0).contains(&bound), "{bound}");
-    }
-
-    #[test]
-    fn radiance_is_emission_and_reflected_light() {
-        let surfel = Surfel::new(Vec3::ZERO, Vec3::Y, 1.0, 1.0)
-            .with_radiance([1.0, 0.0, 0.0])
-            .with_albedo([0.5, 0.25, 0.0]);
-        let irradiance = [PI, 2.0 * PI, 2.0 * PI];
-        let lit = lit_radiance(&surfel, irradiance, 9.0);
-        assert!((lit[0] - 1.5).abs() < 1e-6 && (lit[1] - 0.5).abs() < 1e-6 && lit[2] == 0.0);
-        assert_eq!(lit_radiance(&surfel, irradiance, 1.0)[0], 1.0);
-        assert!(lit_radiance(&surfel, [f32::NAN; 3], 9.0).iter().all(|c| *c == 0.0));
     }
 
     #[test]
