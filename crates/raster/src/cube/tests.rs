@@ -370,6 +370,28 @@ fn what_is_hidden_does_not_shine_for_being_drawn_first() {
     assert!(found[0] < 0.3, "{found:?}");
 }
 
+/// A texel covered wholly, by half by a black back: what shines in the other half keeps its share, whichever comes first.
+#[test]
+fn backs_that_show_keep_their_share_of_a_covered_texel() {
+    let table = CubeRasterTable::new(8);
+    let up = table.texel_index(Vec3::new(0.05, 1.0, 0.05));
+    let whole = table.texels()[up].solid_angle_sr;
+    // The texel's halves along x, at one height.
+    let half = |x: f32| (Vec3::new(x, 0.999, -0.01), Vec3::new(x + 0.125, 1.001, 0.26));
+    let back = Ink { is_back: true, ..ink(0.5 * whole, 0.0) };
+    let front = ink(0.5 * whole, 3.0);
+    for order in [[0, 1], [1, 0]] {
+        let mut raster = CubeRaster::new(&table, true);
+        raster.clear::<Plain>(Vec3::Y);
+        for piece in order {
+            let (bounds, ink) = [(half(0.0), &back), (half(0.125), &front)][piece];
+            draw_section(&mut raster, bounds, Vec3::Y, ink);
+        }
+        let light = raster.chunk(up / LANES).unwrap_or_default().radiance[0][up % LANES];
+        assert!((light - 1.5).abs() < 0.1, "{light}");
+    }
+}
+
 #[test]
 fn shares_of_a_covered_texel_sum_to_one() {
     let table = CubeRasterTable::new(8);
