@@ -10,6 +10,7 @@ mod invariances;
 mod lamps;
 mod leaks;
 mod lights;
+mod memory;
 mod octree_file;
 mod one_place;
 mod own_surface;

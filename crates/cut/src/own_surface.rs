@@ -70,13 +70,15 @@ pub(crate) fn is_own_surface(
     let tilt = surfel.normal.dot(plane);
     let depth = center.dot(surfel.normal);
     if !matches!(surfel.shape, SurfelShape::Disk { .. }) {
+        let top = height + reach_along(surfel, plane);
+        // What faces the receiver hangs over it, however low, but for the other side of its own sheet, folded or not, in whose plane it lies.
+        if tilt < -FOLD_COSINE {
+            return top <= 0.0 || is_in_plane(surfel, center, depth);
+        }
         // What looks another way is no neighbor on a curved surface: it hides if it rises by more than rounding explains, its own and that of a
         // receiver that was such a surfel itself.
         let rounding = 2.0 * rounding + surfel.outline_error(plane);
-        let bound = if tilt > 0.0 { rounding.max(ALIKE_BIAS * surfel.radius) } else { rounding };
-        // The other side of a piece beside it, folded a little against the receiver's, rises over it, but the receiver is in its plane.
-        return height + reach_along(surfel, plane) <= bound
-            || (tilt < -FOLD_COSINE && is_in_plane(surfel, center, depth));
+        return top <= if tilt > 0.0 { rounding.max(ALIKE_BIAS * surfel.radius) } else { rounding };
     }
     let top = height + reach_along(surfel, plane);
     // A surface does not face its own front: what does hangs over the receiver, however low.

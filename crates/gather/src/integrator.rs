@@ -15,7 +15,8 @@ use pbgi_cut::{
 };
 use pbgi_math::Vec3;
 use pbgi_raster::{
-    CubeRaster, CubeRasterTable, Lanes, SimdLevel, WideKernel, Window, WindowRaster, run_wide,
+    CubeRaster, CubeRasterTable, Lanes, SimdLevel, WideKernel, Window, WindowRaster, row_stride,
+    run_wide,
 };
 use pbgi_store::{Reader, StoreError};
 use std::marker::PhantomData;
@@ -77,6 +78,18 @@ impl Default for GatherSettings {
             simd: SimdLevel::detect(),
         }
     }
+}
+
+/// Bytes per texel of a raster and of the tables that it is convolved and differentiated by, while they are made.
+const TEXEL_BYTES: usize = 520;
+
+/// Bytes of pieces that wait for others, lists of lamps, directions of a lobe and windows, whatever the raster's size.
+const SCRATCH_BYTES: usize = 3 << 20;
+
+/// Bytes that a [`Gatherer`] holds at most with `edge` texels along a face, besides decoded nodes.
+#[must_use]
+pub fn gatherer_bytes(edge: usize) -> usize {
+    6 * edge * row_stride(edge) * TEXEL_BYTES + SCRATCH_BYTES
 }
 
 /// Everything one thread needs to gather for receivers, one after the other.

@@ -16,7 +16,7 @@ mod visitors;
 mod windows;
 
 pub use importance::ImportanceTerms;
-pub use integrator::{GatherParts, GatherSettings, Gatherer};
+pub use integrator::{GatherParts, GatherSettings, Gatherer, gatherer_bytes};
 pub use light::PreparedLight;
 pub use pbgi_brdf::Material;
 pub use pbgi_cut::{CutStats, KNOWN_BYTES, LevelStats};

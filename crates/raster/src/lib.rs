@@ -24,7 +24,7 @@ pub use lobe::{LobeInk, LobeRaster};
 pub use samples::Veil;
 pub use shape::{Disk, Met, Place, Section, Shape, Tile, Triangle};
 pub use simd::{SimdLevel, WideKernel, run_wide};
-pub use table::{CubeRasterTable, LANES};
+pub use table::{CubeRasterTable, LANES, row_stride};
 pub use window::{Window, WindowRaster};
 
 /// Numbers in −1..=1.

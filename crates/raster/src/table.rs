@@ -5,6 +5,13 @@ use pbgi_math::{CubeMap, CubeTexel, Vec3};
 /// Texels that are convolved together; rows are padded to no fewer.
 pub const LANES: usize = 8;
 
+/// Texels of a row in memory, of `n` that are used.
+#[must_use]
+pub const fn row_stride(n: usize) -> usize {
+    let power = n.next_power_of_two();
+    if power > LANES { power } else { LANES }
+}
+
 /// Geometry of the texels, in padded rows.
 #[derive(Clone, Debug)]
 pub struct CubeRasterTable {
@@ -23,7 +30,7 @@ impl CubeRasterTable {
     pub fn new(n: usize) -> Self {
         assert!((1..=64).contains(&n), "1 to 64 texels along a face");
         let map = CubeMap::new(n);
-        let stride = n.next_power_of_two().max(LANES);
+        let stride = row_stride(n);
         let outside = CubeTexel { direction: Vec3::Z, solid_angle_sr: 0.0, vector: Vec3::ZERO };
         let mut texels = vec![outside; 6 * n * stride];
         for index in 0..map.texel_count() {

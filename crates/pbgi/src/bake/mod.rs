@@ -61,7 +61,8 @@ pub fn bake(
     let peak_before = peak_resident_bytes();
     request.check()?;
     let _claim = claim(&request.output)?;
-    let memory = BakeMemory::new(request.memory_limit, request.threads, request.light.is_any());
+    let raster_edge = request.light.is_any().then_some(request.light.raster_edge);
+    let memory = BakeMemory::new(request.memory_limit, request.threads, raster_edge);
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(memory.threads)
         .build()

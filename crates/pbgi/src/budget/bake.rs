@@ -1,7 +1,7 @@
 //! How a bake divides its memory limit.
 
 use crate::PbgiError;
-use crate::budget::split::{limit_beside_nodes, node_bytes_held};
+use crate::budget::split::{limit_beside_nodes, node_bytes_held, worker_bytes};
 use crate::figures::format_bytes;
 use crate::shade::CHUNK_RECEIVERS;
 use pbgi_build::BuildOptions;
@@ -13,7 +13,7 @@ use pbgi_store::PIN_BYTES_PER_READER_MIN;
 const PROGRAM_BYTES: u64 = 16 << 20;
 /// The open path of the octree, pages being packed, the page table.
 const BUILD_BYTES: u64 = 16 << 20;
-/// Stack, raster and tables of a worker.
+/// Stack and tables of a worker that lights nothing.
 const THREAD_BYTES: u64 = 1 << 20;
 /// What the allocator keeps for itself, and small things.
 const MARGIN_BYTES: u64 = 4 << 20;
@@ -26,26 +26,32 @@ pub(crate) fn reader_cache_bytes(limit: u64) -> u64 {
     limit.saturating_sub(held).max(BUDGET_BYTES_MIN)
 }
 
+/// Bytes that a worker holds, which lights surfels by such a raster.
+fn thread_bytes(raster_edge: Option<usize>) -> u64 {
+    raster_edge.map_or(THREAD_BYTES, worker_bytes)
+}
+
 /// The parts of a bake's memory limit. None of them changes the result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct BakeMemory {
     limit: u64,
-    /// Whether surfels are lit.
-    lights: bool,
+    /// Texels along a face of the rasters that surfels are lit by, if they are.
+    raster_edge: Option<usize>,
     /// Threads the limit affords, at most those asked for.
     pub threads: usize,
 }
 
 impl BakeMemory {
-    pub fn new(limit: u64, threads: usize, lights: bool) -> Self {
-        let affordable = (limit / 8 / THREAD_BYTES) as usize;
-        Self { limit, lights, threads: threads.clamp(1, affordable.max(1)) }
+    pub fn new(limit: u64, threads: usize, raster_edge: Option<usize>) -> Self {
+        let affordable = (limit / 8 / thread_bytes(raster_edge)) as usize;
+        Self { limit, raster_edge, threads: threads.clamp(1, affordable.max(1)) }
     }
 
     /// Bytes set aside for building and shading.
     pub fn reserve(&self) -> u64 {
-        let mut bytes = BUILD_BYTES + MARGIN_BYTES + self.threads as u64 * THREAD_BYTES;
-        if self.lights {
+        let workers = self.threads as u64 * thread_bytes(self.raster_edge);
+        let mut bytes = BUILD_BYTES + MARGIN_BYTES + workers;
+        if self.raster_edge.is_some() {
             bytes += CHUNK_RECEIVERS as u64 * SHADED_SURFEL_BYTES;
         }
         bytes + self.node_bytes()
@@ -53,12 +59,12 @@ impl BakeMemory {
 
     /// Bytes of decoded nodes that gathers keep.
     fn node_bytes(&self) -> u64 {
-        if self.lights { node_bytes_held(self.limit, self.threads) } else { 0 }
+        if self.raster_edge.is_some() { node_bytes_held(self.limit, self.threads) } else { 0 }
     }
 
     /// The least limit that holds so many bytes besides these.
     fn limit_for(&self, beside: u64) -> u64 {
-        if self.lights { limit_beside_nodes(beside, self.threads) } else { beside }
+        if self.raster_edge.is_some() { limit_beside_nodes(beside, self.threads) } else { beside }
     }
 
     /// Bytes for the sort, now that all inputs are open: what they and the reserve leave, or half of it
@@ -72,7 +78,7 @@ impl BakeMemory {
     }
 
     fn sort_bytes_beside(&self, held: u64) -> Result<u64, PbgiError> {
-        let parts = if self.lights { 2 } else { 1 };
+        let parts = if self.raster_edge.is_some() { 2 } else { 1 };
         let least = held + self.reserve() + parts * BUDGET_BYTES_MIN;
         if least > self.limit {
             let beside = least + MARGIN_BYTES - self.node_bytes();
@@ -109,13 +115,13 @@ mod tests {
     #[test]
     fn parts_never_exceed_the_limit() {
         for limit in [MEMORY_LIMIT_MIN, 300 << 20, 8 << 30] {
-            for (threads, lights) in [(1, false), (2, true), (1000, true)] {
-                let memory = BakeMemory::new(limit, threads, lights);
+            for (threads, raster_edge) in [(1, None), (2, Some(6)), (1000, Some(6))] {
+                let memory = BakeMemory::new(limit, threads, raster_edge);
                 let held = 12 << 20;
                 let sort = memory.sort_bytes_beside(held).unwrap();
                 let (cache, readers) = memory.cache_beside(held + sort);
                 assert!(sort >= BUDGET_BYTES_MIN);
-                if lights {
+                if raster_edge.is_some() {
                     assert!(held + sort + cache + memory.reserve() <= limit, "{limit} {threads}");
                 }
                 let pins = readers as u64 * PIN_BYTES_PER_READER_MIN * (64 << 10);
@@ -126,13 +132,13 @@ mod tests {
 
     #[test]
     fn limits_that_are_too_small_name_one_that_is_not() {
-        let memory = BakeMemory::new(MEMORY_LIMIT_MIN, 2, true);
+        let memory = BakeMemory::new(MEMORY_LIMIT_MIN, 2, Some(6));
         let error = memory.sort_bytes_beside(100 << 20).unwrap_err();
         assert_eq!(error.exit_code(), 4);
         let text = error.to_string();
         let needed = text.split("--memory-limit ").nth(1).unwrap();
         let needed: u64 = needed.strip_suffix("MiB)").unwrap().parse().unwrap();
-        let memory = BakeMemory::new(needed << 20, 2, true);
+        let memory = BakeMemory::new(needed << 20, 2, Some(6));
         assert!(memory.sort_bytes_beside(100 << 20).is_ok(), "{text}");
     }
 }

@@ -4,16 +4,16 @@ use crate::PbgiError;
 use crate::figures::format_bytes;
 use crate::shade::ShadeSettings;
 use pbgi_file::platform::resident_bytes;
-use pbgi_gather::KNOWN_BYTES;
+use pbgi_gather::{KNOWN_BYTES, gatherer_bytes};
 use serde::Serialize;
 use std::fmt;
 
 /// What a program holds before it does anything, where the system does not tell.
 const PROGRAM_BYTES: u64 = 24 << 20;
 
-/// Room for small things to come, and for each worker's stack, raster and tables.
+/// Room for small things to come, and for each worker's stack.
 const MARGIN_BYTES: u64 = 8 << 20;
-const THREAD_BYTES: u64 = 2 << 20;
+const STACK_BYTES: u64 = 512 << 10;
 
 /// Least page cache worth opening a file with.
 const CACHE_BYTES_MIN: u64 = 4 << 20;
@@ -25,6 +25,11 @@ const NODE_BYTES_MIN: u64 = 128 << 10;
 pub(crate) fn node_bytes(limit_bytes: u64, threads: usize) -> usize {
     let each = limit_bytes / (32 * threads.max(1) as u64);
     each.clamp(NODE_BYTES_MIN, KNOWN_BYTES as u64) as usize
+}
+
+/// Bytes that a worker holds besides decoded nodes, with so many texels along a face of its raster.
+pub(crate) fn worker_bytes(raster_edge: usize) -> u64 {
+    STACK_BYTES + gatherer_bytes(raster_edge) as u64
 }
 
 /// Bytes that all workers hold for that: what is kept grows by doubling.
@@ -66,7 +71,7 @@ impl MemorySplit {
     /// A split for what the process holds now, before frame and cache have their shares.
     pub(crate) fn measure(settings: &ShadeSettings) -> Self {
         let resident = resident_bytes().unwrap_or(PROGRAM_BYTES);
-        let workers = THREAD_BYTES * settings.threads as u64;
+        let workers = worker_bytes(settings.raster_edge) * settings.threads as u64;
         Self::new(settings.memory_bytes, resident + MARGIN_BYTES + workers, settings.threads)
     }
 

@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::sync_channel;
 
 /// Surfels drawn at once.
-const CHUNK_SURFELS: usize = 1 << 16;
+const CHUNK_SURFELS: usize = 1 << 13;
 
 /// Albedo shown where a file has none: that of plaster, and of materials without a color.
 const GRAY_ALBEDO: [f32; 3] = [0.8; 3];

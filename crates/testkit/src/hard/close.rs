@@ -24,7 +24,7 @@ const ONE_SHEET: &str = "codes of normals are off by up to 0.07°: a tile that f
 const HOLE: &str = "four edges of 0.1 rad cross four texels of 1/64 sr, placed within half a sample: 4/(32 · 64 π) = 0.0006; each is drawn 2 % \
     longer at both of its sides than it is, 0.1 · 0.04 of 0.0064, and so are pieces beside it";
 
-pub(super) const CASES: [HardCase; 17] = [
+pub(super) const CASES: [HardCase; 18] = [
     HardCase {
         name: "sheets-1e-3",
         about: "two sheets that face each other, 10⁻³ of their size apart; openness between them, 0 but for their rims",
@@ -75,6 +75,14 @@ pub(super) const CASES: [HardCase; 17] = [
         why: OUTLINE,
         limit: None,
         measure: |engine| near_disk(engine, Vec3::NEG_Y),
+    },
+    HardCase {
+        name: "facing-tile",
+        about: "`facing-disk` with a square of edge 2 in place of the disk",
+        promise: 0.01,
+        why: OUTLINE,
+        limit: None,
+        measure: near_tile,
     },
     HardCase {
         name: "behind-disk",
@@ -231,11 +239,25 @@ fn between_points(engine: &mut dyn Engine) -> Result<f64, Refusal> {
     Ok(open_errors(&found, &receivers, 1e-3))
 }
 
+/// How far what is near is from its receivers.
+const NEAR: [f32; 5] = [1e-3, 1e-2, 0.049, 0.051, 0.1];
+
 /// Receivers below a disk of radius 1.
 fn below_disk() -> (Vec<CaseReceiver>, impl Iterator<Item = f64>) {
-    let heights = [1e-3f32, 1e-2, 0.049, 0.051, 0.1];
-    let receivers = upward(heights.map(|height| Vec3::NEG_Y * height));
-    (receivers, heights.into_iter().map(|height| disk_share(1.0, f64::from(height))))
+    let receivers = upward(NEAR.map(|height| Vec3::NEG_Y * height));
+    (receivers, NEAR.into_iter().map(|height| disk_share(1.0, f64::from(height))))
+}
+
+fn near_tile(engine: &mut dyn Engine) -> Result<f64, Refusal> {
+    let receivers = upward(NEAR.map(|height| Vec3::NEG_Y * height));
+    let square = tile(Vec3::ZERO, Vec3::NEG_Y, Vec3::X, [2.0; 2], 1.0);
+    let found = engine.shade(&CaseScene::new(vec![square], receivers.clone()))?;
+    let square = rectangle(DVec3::ZERO, DVec3::X, DVec3::Z);
+    let shares = receivers.iter().map(|r| polygon_share(&square, r.position, DVec3::Y));
+    let pairs = found.iter().zip(shares);
+    Ok(largest_error(
+        pairs.flat_map(|(f, share)| [(f.open, 1.0 - share), (f.surfaces / PI, share)]),
+    ))
 }
 
 fn near_disk(engine: &mut dyn Engine, facing: Vec3) -> Result<f64, Refusal> {
