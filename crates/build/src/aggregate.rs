@@ -323,6 +323,22 @@ mod tests {
         assert!((flux / (emitted / 4.0) - 1.0).abs() < 1e-3);
     }
 
+    /// A lamp below a ceiling, whose tiles above it are buried, shines as it does alone.
+    #[test]
+    fn what_is_buried_neither_dims_nor_adds_to_what_shines() {
+        let tile = |height: f32, radiance: f32| {
+            let at = Vec3::new(0.0, height, 0.0);
+            Surfel::new(at, Vec3::NEG_Y, 0.707, 1.0).with_radiance([radiance; 3])
+        };
+        let lamp = tile(-0.01, 3.0);
+        let ceiling = tile(0.0, 0.0).with_flags(SurfelFlags::BURIED);
+        let node = NodeAggregate::from_surfels(&[lamp, ceiling]);
+        assert_eq!(node.lobes.len(), 1);
+        let lobe = node.lobes[0].to_lobe(&node.bounds);
+        let flux = lobe.front_area(Vec3::NEG_Y) * lobe.radiance[0];
+        assert!((flux - 3.0).abs() < 1e-5 && lobe.radiance[0] == 3.0, "{lobe:?}");
+    }
+
     #[test]
     fn isotropic_surfels_show_half_their_area_everywhere() {
         let surfel = Surfel::new(Vec3::ZERO, Vec3::Z, 1.0, 3.0).with_flags(SurfelFlags::ISOTROPIC);

@@ -170,9 +170,11 @@ impl LobeSum {
                 fill = (f64::from(self.stencil_area) / f64::from(cells)).min(1.0);
             }
         }
+        // Outlines are of all surfels, as what is buried lies within others'; what is shown is of those that are seen, so that light is kept.
+        let shown = if self.seen > 0.0 { self.seen / self.area } else { 1.0 };
         Lobe {
-            vector: self.vector.as_vec3(),
-            width: solve_width(length, self.area) as f32,
+            vector: (self.vector * shown).as_vec3(),
+            width: (solve_width(length, self.area) * shown) as f32,
             blocks_back: self.blocks_back,
             radiance: self.radiance(),
             height: height as f32,

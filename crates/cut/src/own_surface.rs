@@ -78,7 +78,8 @@ pub(crate) fn is_own_surface(
         // What looks another way is no neighbor on a curved surface: it hides if it rises by more than rounding explains, its own and that of a
         // receiver that was such a surfel itself.
         let rounding = 2.0 * rounding + surfel.outline_error(plane);
-        return top <= if tilt > 0.0 { rounding.max(ALIKE_BIAS * surfel.radius) } else { rounding };
+        let is_alike = tilt > 0.0 && depth <= 2.0 * surfel.rounding(across(center, depth));
+        return top <= if is_alike { rounding.max(ALIKE_BIAS * surfel.radius) } else { rounding };
     }
     let top = height + reach_along(surfel, plane);
     // A surface does not face its own front: what does hangs over the receiver, however low.
