@@ -8,10 +8,6 @@ use pbgi_format::CHILDREN_MAX;
 use pbgi_math::{Vec3, larger};
 use pbgi_store::StoreError;
 
-/// Share of its radius by which a rectangle or triangle that looks the same way as the receiver's surface must rise above the plane of that to hide
-/// anything: so far do neighbors on a curved surface.
-const ALIKE_BIAS: f32 = 0.05;
-
 /// Cosine of the angle between normals above which a near disk may be a piece of the receiver's own curved surface.
 const OWN_SURFACE_COSINE: f32 = 0.7;
 
@@ -75,11 +71,8 @@ pub(crate) fn is_own_surface(
         if tilt < -FOLD_COSINE {
             return top <= 0.0 || is_in_plane(surfel, center, depth);
         }
-        // What looks another way is no neighbor on a curved surface: it hides if it rises by more than rounding explains, its own and that of a
-        // receiver that was such a surfel itself.
-        let rounding = 2.0 * rounding + surfel.outline_error(plane);
-        let is_alike = tilt > 0.0 && depth <= 2.0 * surfel.rounding(across(center, depth));
-        return top <= if is_alike { rounding.max(ALIKE_BIAS * surfel.radius) } else { rounding };
+        // All else hides if it rises by more than rounding explains, its own and that of a receiver that was such a surfel itself.
+        return top <= 2.0 * rounding + surfel.outline_error(plane);
     }
     let top = height + reach_along(surfel, plane);
     // A surface does not face its own front: what does hangs over the receiver, however low.
