@@ -37,6 +37,8 @@ impl Boxes {
 #[derive(Clone, Debug)]
 pub(crate) struct KnownGroup {
     pub place: NodePlace,
+    /// The walk that last came by.
+    pub walk: u32,
     /// Octants with a child, and those whose child is a leaf.
     pub octants: u8,
     pub leaves: u8,

@@ -21,14 +21,18 @@ pub const KNOWN_BYTES: usize = 16 << 20;
 
 /// An octree's nodes, decoded as walks come by: neighboring receivers walk the same ones.
 ///
-/// What is kept changes which pages are asked for, and when, and nothing else. Beyond `bytes_max` all is forgotten at once.
+/// What is kept changes which pages are asked for, and when, and nothing else. Beyond `bytes_max` what was not walked for longest is forgotten, so that
+/// three quarters are left. Half leaves a tenth more pages to be read again, all at once twice as many.
 pub struct NodeReader<'a> {
     reader: Reader<'a>,
     layout: SurfelLayout,
     bytes_max: usize,
     is_full: bool,
-    /// How often all was forgotten.
+    /// Walks so far.
+    walks: u32,
+    /// How often some was forgotten, and the numbers that groups of the last time have now.
     generation: u32,
+    moved: Vec<u32>,
     groups: Vec<KnownGroup>,
     root: u32,
     lobes: Vec<KnownLobe>,
@@ -48,6 +52,8 @@ pub(crate) struct GroupIndex {
 /// Surfels of a leaf: where they begin and how many they are.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct KnownLeaf {
+    /// The walk that last came by.
+    walk: u32,
     start: u32,
     count: u32,
     page: PageId,
@@ -69,7 +75,9 @@ impl<'a> NodeReader<'a> {
             reader,
             bytes_max,
             is_full: false,
+            walks: 0,
             generation: 0,
+            moved: Vec::new(),
             groups: Vec::new(),
             root: UNKNOWN,
             lobes: Vec::new(),
@@ -86,7 +94,7 @@ impl<'a> NodeReader<'a> {
         self.reader.octree()
     }
 
-    /// Forgets all nodes if they take too much. Indices of groups are found anew by [`Self::refresh`].
+    /// Forgets some nodes if they take too much. Indices of groups are found anew by [`Self::refresh`].
     #[inline(always)]
     pub(crate) fn trim(&mut self) {
         if self.is_full {
@@ -98,25 +106,101 @@ impl<'a> NodeReader<'a> {
         let bytes = self.groups.len() * size_of::<KnownGroup>()
             + self.lobes.len() * size_of::<KnownLobe>()
             + self.leaves.len() * size_of::<KnownLeaf>()
-            + self.surfels.len() * (size_of::<CutSurfel>() + size_of::<Vec3>());
+            + self.surfels.len() * SURFEL_BYTES;
         self.is_full = bytes > self.bytes_max;
     }
 
+    /// Keeps what was walked last, in three quarters of the room; nothing if the last walk alone takes more.
     #[cold]
     fn forget(&mut self) {
-        self.is_full = false;
+        let age_max = self.age_kept();
+        let is_kept = |walk: u32| age_max.is_some_and(|max| self.walks.wrapping_sub(walk) <= max);
+        self.moved.clear();
+        self.moved.extend(renumbered(self.groups.iter().map(|group| is_kept(group.walk))));
+        let leaves: Vec<u32> =
+            renumbered(self.leaves.iter().map(|leaf| is_kept(leaf.walk))).collect();
+        self.move_lobes();
+        self.move_surfels(&leaves);
+        let mut from = self.moved.iter();
+        self.groups.retain(|_| from.next() != Some(&UNKNOWN));
+        let mut from = leaves.iter();
+        self.leaves.retain(|_| from.next() != Some(&UNKNOWN));
+        for group in &mut self.groups {
+            for octant in (0..CHILDREN_MAX as u8).filter(|octant| group.octants >> octant & 1 != 0)
+            {
+                let is_leaf = group.leaves >> octant & 1 != 0;
+                let numbers = if is_leaf { &leaves } else { &self.moved };
+                let index = group.index(octant);
+                let link = &mut group.links[index];
+                // What is missing stays so.
+                *link = numbers.get(*link as usize).copied().unwrap_or(*link);
+            }
+        }
+        self.root = self.moved.get(self.root as usize).copied().unwrap_or(UNKNOWN);
         self.generation = self.generation.wrapping_add(1);
-        self.groups.clear();
-        self.root = UNKNOWN;
-        self.lobes.clear();
-        self.leaves.clear();
-        self.surfels.clear();
-        self.centers.clear();
+        self.weigh();
+    }
+
+    /// The age, in walks, up to which nodes are kept: those that take three quarters of the room at most.
+    fn age_kept(&self) -> Option<u32> {
+        let age = |walk: u32| self.walks.wrapping_sub(walk);
+        let groups = self.groups.iter().map(|group| {
+            let lobes = group.lobes[CHILDREN_MAX] - group.lobes[0];
+            (age(group.walk), size_of::<KnownGroup>() + lobes as usize * size_of::<KnownLobe>())
+        });
+        let leaves = self.leaves.iter().map(|leaf| {
+            (age(leaf.walk), size_of::<KnownLeaf>() + leaf.count as usize * SURFEL_BYTES)
+        });
+        let mut sizes: Vec<(u32, usize)> = groups.chain(leaves).collect();
+        sizes.sort_unstable();
+        let (mut sum, mut kept) = (0, None);
+        for of_age in sizes.chunk_by(|a, b| a.0 == b.0) {
+            sum += of_age.iter().map(|(_, bytes)| bytes).sum::<usize>();
+            if sum > self.bytes_max / 4 * 3 {
+                break;
+            }
+            kept = Some(of_age[0].0);
+        }
+        kept
+    }
+
+    /// Moves the lobes of the groups that are kept together.
+    fn move_lobes(&mut self) {
+        let has_lobes =
+            |i: &usize| self.moved[*i] != UNKNOWN && self.groups[*i].lobes[0] != UNKNOWN;
+        let mut order: Vec<usize> = (0..self.groups.len()).filter(has_lobes).collect();
+        order.sort_unstable_by_key(|i| self.groups[*i].lobes[0]);
+        let mut end = 0;
+        for i in order {
+            let starts = &mut self.groups[i].lobes;
+            let (from, to) = (starts[0] as usize, starts[CHILDREN_MAX] as usize);
+            self.lobes.copy_within(from..to, end);
+            for start in starts.iter_mut() {
+                *start -= (from - end) as u32;
+            }
+            end += to - from;
+        }
+        self.lobes.truncate(end);
+    }
+
+    /// Moves the surfels of the leaves that are kept, those that have a number, together.
+    fn move_surfels(&mut self, numbers: &[u32]) {
+        let mut end = 0;
+        for (leaf, _) in self.leaves.iter_mut().zip(numbers).filter(|(_, n)| **n != UNKNOWN) {
+            let range = leaf.start as usize..(leaf.start + leaf.count) as usize;
+            self.surfels.copy_within(range.clone(), end);
+            self.centers.copy_within(range, end);
+            leaf.start = end as u32;
+            end += leaf.count as usize;
+        }
+        self.surfels.truncate(end);
+        self.centers.truncate(end);
     }
 
     /// The root's group.
     #[inline(always)]
     pub(crate) fn root(&mut self, stats: &mut CutStats) -> Result<GroupIndex, StoreError> {
+        self.walks = self.walks.wrapping_add(1);
         if self.root == UNKNOWN {
             let header = *self.octree().header();
             let (page, offset) = (header.root_page, header.root_offset);
@@ -126,6 +210,7 @@ impl<'a> NodeReader<'a> {
             stats.levels[0].note(&before, &self.reader.stats());
             self.root = self.read_group(NodePlace { page, offset, level: 1 }, stats)?;
         }
+        self.groups[self.root as usize].walk = self.walks;
         Ok(self.numbered(self.root))
     }
 
@@ -143,7 +228,12 @@ impl<'a> NodeReader<'a> {
         stats: &mut CutStats,
     ) -> Result<bool, StoreError> {
         if at.generation != self.generation {
-            let index = self.read_group(place, stats)?;
+            let is_of_last = at.generation == self.generation.wrapping_sub(1);
+            let moved = self.moved.get(at.index as usize).filter(|_| is_of_last);
+            let index = match moved {
+                Some(&index) if index != UNKNOWN => index,
+                _ => self.read_group(place, stats)?,
+            };
             if index == MISSING {
                 return Ok(false);
             }
@@ -173,6 +263,7 @@ impl<'a> NodeReader<'a> {
         let corners = view.corners();
         let mut group = KnownGroup {
             place,
+            walk: self.walks,
             octants: fields.octants,
             leaves: fields.leaves,
             planes: 0,
@@ -226,8 +317,15 @@ impl<'a> NodeReader<'a> {
             return Ok(None);
         }
         Ok(Some(match is_leaf {
-            true => Below::Leaf(self.leaves[link as usize]),
-            false => Below::Group(self.numbered(link)),
+            true => {
+                let leaf = &mut self.leaves[link as usize];
+                leaf.walk = self.walks;
+                Below::Leaf(*leaf)
+            }
+            false => {
+                self.groups[link as usize].walk = self.walks;
+                Below::Group(self.numbered(link))
+            }
         }))
     }
 
@@ -290,7 +388,8 @@ impl<'a> NodeReader<'a> {
         }
         join_disks(&self.centers[start as usize..], &mut self.surfels[start as usize..]);
         let number = self.leaves.len() as u32;
-        self.leaves.push(KnownLeaf { start, count: found.count(), page: id, offset: place.0 });
+        let (count, walk) = (found.count(), self.walks);
+        self.leaves.push(KnownLeaf { walk, start, count, page: id, offset: place.0 });
         self.weigh();
         Ok(number)
     }
@@ -386,6 +485,21 @@ impl<'a> NodeReader<'a> {
         }
         Ok(if area > 0.0 { light / area } else { 0.0 })
     }
+}
+
+/// Bytes of a surfel that is kept.
+const SURFEL_BYTES: usize = size_of::<CutSurfel>() + size_of::<Vec3>();
+
+/// Numbers of those that are kept, in order, and [`UNKNOWN`] of the others.
+fn renumbered(kept: impl Iterator<Item = bool>) -> impl Iterator<Item = u32> {
+    let mut next = 0;
+    kept.map(move |is_kept| {
+        if !is_kept {
+            return UNKNOWN;
+        }
+        next += 1;
+        next - 1
+    })
 }
 
 /// Difference of shares and of radiances that cannot be told, as a share of the whole.

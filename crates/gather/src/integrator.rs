@@ -84,7 +84,7 @@ impl Default for GatherSettings {
 const TEXEL_BYTES: usize = 520;
 
 /// Bytes of pieces that wait for others, lists of lamps, directions of a lobe and windows, whatever the raster's size.
-const SCRATCH_BYTES: usize = 3 << 20;
+const SCRATCH_BYTES: usize = 5 << 19;
 
 /// Bytes that a [`Gatherer`] holds at most with `edge` texels along a face, besides decoded nodes.
 #[must_use]
