@@ -90,6 +90,8 @@ struct Row {
     speed: f64,
     processor_speed: f64,
     hit_rate: f64,
+    /// Share of the groups and leaves that walks opened without a page being read for it: requests for pages are those that decoded nodes do not answer.
+    opened_rate: f64,
     read_amplification: f64,
     evictions: u64,
     rereads: u64,
@@ -212,6 +214,7 @@ impl Measured {
             speed: whole.0 / report.seconds,
             processor_speed: whole.1 / self.processor_seconds.max(1e-9),
             hit_rate: cache.hit_rate(),
+            opened_rate: 1.0 - cache.pages_read as f64 / report.cut.opened.max(1) as f64,
             read_amplification: cache.read_amplification(),
             evictions: cache.evictions,
             rereads: cache.rereads,
@@ -383,7 +386,7 @@ fn measure(
 
 fn print_head() {
     println!(
-        "{:>8} {:9} {:4} {:8} {:>10} {:>8} {:>8} {:>9} {:>6} {:>9} {:>9} {:>6} {:>9}",
+        "{:>8} {:9} {:4} {:8} {:>10} {:>8} {:>8} {:>9} {:>9} {:>6} {:>9} {:>9} {:>6} {:>9}",
         "budget",
         "order",
         "file",
@@ -392,6 +395,7 @@ fn print_head() {
         "speed",
         "cpu spd",
         "hit rate",
+        "opened",
         "ampl.",
         "evictions",
         "re-reads",
@@ -402,7 +406,7 @@ fn print_head() {
 
 fn print_row(row: &Row) {
     println!(
-        "{:6.2} % {:9} {:4} {:8} {:10.0} {:6.1} % {:6.1} % {:7.3} % {:6.2} {:9} {:9} {:4.1} % {:7.1} %",
+        "{:6.2} % {:9} {:4} {:8} {:10.0} {:6.1} % {:6.1} % {:7.3} % {:7.3} % {:6.2} {:9} {:9} {:4.1} % {:7.1} %",
         row.budget_percent,
         format!("{:?}", row.order).to_lowercase(),
         if row.cold { "cold" } else { "warm" },
@@ -411,6 +415,7 @@ fn print_row(row: &Row) {
         row.speed * 100.0,
         row.processor_speed * 100.0,
         row.hit_rate * 100.0,
+        row.opened_rate * 100.0,
         row.read_amplification,
         row.evictions,
         row.rereads,

@@ -17,6 +17,7 @@ pub(crate) fn take_leaf<V: CutVisitor>(
     scratch: &mut CutScratch,
     stats: &mut CutStats,
 ) {
+    stats.opened += 1;
     let (centers, surfels) = nodes.surfels(leaf);
     let CutScratch { order, doubts_own_surface, .. } = scratch;
     let position = receiver.view.position;

@@ -41,6 +41,8 @@ impl LevelStats {
 pub struct CutStats {
     /// Nodes whose bounds were tested.
     pub nodes_visited: u64,
+    /// Groups and leaves whose children or surfels were looked at: each was decoded before, or its page asked for.
+    pub opened: u64,
     /// Nodes taken as one.
     pub clusters: u64,
     /// Surfels taken singly.
@@ -63,6 +65,7 @@ impl CutStats {
     /// Adds another's counts.
     pub fn add(&mut self, other: &Self) {
         self.nodes_visited += other.nodes_visited;
+        self.opened += other.opened;
         self.clusters += other.clusters;
         self.surfels += other.surfels;
         self.culled_horizon += other.culled_horizon;

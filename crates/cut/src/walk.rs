@@ -173,6 +173,7 @@ impl<V: CutVisitor, T: Threshold> Walk<'_, '_, V, T> {
     /// Goes on with the children of a group.
     #[inline(always)]
     fn enter(&mut self, at: GroupIndex) {
+        self.stats.opened += 1;
         let group = self.nodes.group(at);
         let view = &self.receiver.view;
         let seen = group.see(view, self.threshold, self.stats);
