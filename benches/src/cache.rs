@@ -81,7 +81,6 @@ struct Row {
     cache_bytes: u64,
     /// Whether the file was dropped from the system's cache before.
     cold: bool,
-    prefetch: bool,
     seconds: f64,
     /// Seconds on a processor, all threads.
     processor_seconds: f64,
@@ -116,7 +115,6 @@ struct Setting {
     order: Order,
     budget_percent: f64,
     cold: bool,
-    prefetch: bool,
 }
 
 impl Bench {
@@ -168,11 +166,9 @@ impl Bench {
 
     fn run(&self, receivers: &[Receiver], setting: &Setting) -> Result<(Vec<Shading>, Measured)> {
         self.set_cold(setting.cold)?;
-        let (octree, cache_bytes) =
-            self.open(setting.budget_percent, self.threads + usize::from(setting.prefetch))?;
+        let (octree, cache_bytes) = self.open(setting.budget_percent, self.threads)?;
         let options = ShadeOptions {
             threads: self.threads,
-            prefetch: setting.prefetch,
             order: match setting.order {
                 Order::Morton => ReceiverOrder::Morton,
                 _ => ReceiverOrder::AsGiven,
@@ -207,7 +203,6 @@ impl Measured {
             budget_percent: 100.0 * self.cache_bytes as f64 / bench.file_bytes as f64,
             cache_bytes: self.cache_bytes,
             cold: setting.cold,
-            prefetch: setting.prefetch,
             seconds: report.seconds,
             processor_seconds: self.processor_seconds,
             receivers_per_second: report.receivers as f64 / report.seconds,
@@ -329,9 +324,8 @@ fn cut_error(bench: &Bench, receivers: &[Receiver], check: usize) -> Result<f64>
 fn settings(budgets: &[f64]) -> Vec<Setting> {
     let mut all = Vec::new();
     for &budget_percent in budgets.iter().rev() {
-        let warm = Setting { order: Order::Morton, budget_percent, cold: false, prefetch: false };
-        all.extend([warm, Setting { prefetch: true, ..warm }]);
-        all.extend([false, true].map(|prefetch| Setting { cold: true, prefetch, ..warm }));
+        let warm = Setting { order: Order::Morton, budget_percent, cold: false };
+        all.extend([warm, Setting { cold: true, ..warm }]);
         let orders = [Order::Hilbert, Order::Scanline, Order::Shuffled];
         all.extend(orders.map(|order| Setting { order, ..warm }));
     }
@@ -386,11 +380,10 @@ fn measure(
 
 fn print_head() {
     println!(
-        "{:>8} {:9} {:4} {:8} {:>10} {:>8} {:>8} {:>9} {:>9} {:>6} {:>9} {:>9} {:>6} {:>9}",
+        "{:>8} {:9} {:4} {:>10} {:>8} {:>8} {:>9} {:>9} {:>6} {:>9} {:>9} {:>6} {:>9}",
         "budget",
         "order",
         "file",
-        "prefetch",
         "receiv./s",
         "speed",
         "cpu spd",
@@ -406,11 +399,10 @@ fn print_head() {
 
 fn print_row(row: &Row) {
     println!(
-        "{:6.2} % {:9} {:4} {:8} {:10.0} {:6.1} % {:6.1} % {:7.3} % {:7.3} % {:6.2} {:9} {:9} {:4.1} % {:7.1} %",
+        "{:6.2} % {:9} {:4} {:10.0} {:6.1} % {:6.1} % {:7.3} % {:7.3} % {:6.2} {:9} {:9} {:4.1} % {:7.1} %",
         row.budget_percent,
         format!("{:?}", row.order).to_lowercase(),
         if row.cold { "cold" } else { "warm" },
-        if row.prefetch { "on" } else { "off" },
         row.receivers_per_second,
         row.speed * 100.0,
         row.processor_speed * 100.0,
@@ -474,7 +466,6 @@ fn lines(rows: &[Row]) -> Vec<Line> {
             for row in rows.iter().filter(|row| row.receivers == receivers) {
                 let mut label = format!("{:?}", row.order).to_lowercase();
                 label.push_str(if row.cold { " cold" } else { "" });
-                label.push_str(if row.prefetch { " prefetch" } else { "" });
                 let (plot, point) =
                     (format!("{receivers}, {what}"), (row.budget_percent, value(row)));
                 match lines.iter_mut().find(|line| line.plot == plot && line.label == label) {

@@ -68,12 +68,9 @@ fn neither_budget_nor_order_nor_threads_nor_chunks_change_a_bit() {
         let octree = Octree::open(&path, &options).unwrap();
         for (threads, chunk) in [(1, 2000), (3, 100), (2, 777)] {
             for order in [ReceiverOrder::Morton, ReceiverOrder::AsGiven] {
-                for prefetch in [false, true] {
-                    let options =
-                        ShadeOptions { threads, order, prefetch, ..ShadeOptions::default() };
-                    let found = shade_in_chunks(&octree, &receivers, chunk, &options);
-                    assert!(found == *expected.get_or_insert_with(|| found.clone()));
-                }
+                let options = ShadeOptions { threads, order, ..ShadeOptions::default() };
+                let found = shade_in_chunks(&octree, &receivers, chunk, &options);
+                assert!(found == *expected.get_or_insert_with(|| found.clone()));
             }
         }
         let dropped = octree.stats().evictions;

@@ -1,6 +1,6 @@
 //! Fuzzing of all that reads files: the functions of `fuzz/`, under libFuzzer.
 
-use crate::workspace::{Workspace, succeed, succeed_shown};
+use crate::workspace::{Workspace, host_triple, succeed, succeed_shown};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -45,14 +45,10 @@ pub fn run(workspace: &Workspace, arguments: &[&str]) -> Result<(), String> {
 fn build(workspace: &Workspace) -> Result<PathBuf, String> {
     let host = host_triple()?;
     let target = workspace.target().join("fuzz");
-    // Not by the Cargo that runs this: its toolchain is another.
-    let mut cargo = Command::new("rustup");
-    cargo.args(["run", "nightly", "cargo", "build", "--release", "--features", "libfuzzer"]);
+    let mut cargo = workspace.nightly_cargo();
+    cargo.args(["build", "--release", "--features", "libfuzzer"]);
     cargo.args(["--manifest-path", "fuzz/Cargo.toml", "--target", &host]);
-    cargo.current_dir(workspace.root()).env("RUSTFLAGS", COVERAGE).env("CARGO_TARGET_DIR", &target);
-    for name in ["CARGO", "RUSTC", "RUSTUP_TOOLCHAIN"] {
-        cargo.env_remove(name);
-    }
+    cargo.env("RUSTFLAGS", COVERAGE).env("CARGO_TARGET_DIR", &target);
     succeed(&mut cargo)?;
     Ok(target.join(host).join("release").join("fuzz"))
 }
@@ -103,12 +99,4 @@ fn folders(folder: &Path) -> Result<Vec<String>, String> {
         .collect();
     names.sort();
     Ok(names)
-}
-
-/// The system this runs on, as Cargo names it.
-fn host_triple() -> Result<String, String> {
-    let output = Command::new("rustc").arg("-vV").output().map_err(|e| format!("rustc: {e}"))?;
-    let text = String::from_utf8_lossy(&output.stdout).into_owned();
-    let host = text.lines().find_map(|line| line.strip_prefix("host: "));
-    host.map(str::to_owned).ok_or_else(|| "rustc -vV names no host".to_owned())
 }

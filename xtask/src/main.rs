@@ -1,6 +1,6 @@
 //! Chores of the workspace: `cargo xtask tidy`, `cargo xtask bless`, `cargo xtask billion`, `cargo xtask truth`,
-//! `cargo xtask cases`, `cargo xtask hard-cases`, `cargo xtask faults`, `cargo xtask fuzz`, `cargo xtask licenses`,
-//! `cargo xtask publish`, `cargo xtask dist`, `cargo xtask ci`.
+//! `cargo xtask cases`, `cargo xtask hard-cases`, `cargo xtask faults`, `cargo xtask fuzz`, `cargo xtask miri`,
+//! `cargo xtask sanitize`, `cargo xtask licenses`, `cargo xtask publish`, `cargo xtask dist`, `cargo xtask ci`.
 #![forbid(unsafe_code)]
 
 mod bench_compare;
@@ -18,6 +18,7 @@ mod layout_lock;
 mod licenses;
 mod packages;
 mod publish;
+mod soundness;
 mod spdx;
 mod text;
 mod truth;
@@ -47,6 +48,10 @@ Usage: cargo xtask COMMAND
                   fail, fill and kill every program at calls on files (minutes, with --short a few moments of each kind)
   fuzz [--minutes N] [TARGETS]
                   search N minutes (5) for inputs that a reader fails on, of every target of fuzz/ or of these; needs nightly and C++
+  miri [NAMES]    run unit tests of what reads pages and counts in lanes under Miri, all or those whose names contain one of these
+                  (half an hour); needs nightly with miri and rust-src
+  sanitize address|thread
+                  run tests under a sanitizer (minutes); needs nightly with rust-src
   licenses        check the licenses of all dependencies against deny.toml
   publish         check that all published crates pack
   dist [--dry-run] [TARGET]
@@ -72,6 +77,8 @@ fn main() -> ExitCode {
         ["faults"] => faults::run(&workspace, false),
         ["faults", "--short"] => faults::run(&workspace, true),
         ["fuzz", ref rest @ ..] => fuzz::run(&workspace, rest),
+        ["miri", ref filters @ ..] => soundness::miri(&workspace, filters),
+        ["sanitize", sanitizer] => soundness::sanitize(&workspace, sanitizer),
         ["licenses"] => licenses::check(&workspace),
         ["publish"] => publish::check(&workspace),
         ["dist", ref rest @ ..] => dist::run(&workspace, rest),

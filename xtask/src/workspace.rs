@@ -31,6 +31,17 @@ impl Workspace {
         command
     }
 
+    /// Cargo of the nightly toolchain, run in the folder of the workspace.
+    pub fn nightly_cargo(&self) -> Command {
+        // Not by the Cargo that runs this: its toolchain is another.
+        let mut command = Command::new("rustup");
+        command.args(["run", "nightly", "cargo"]).current_dir(&self.root);
+        for name in ["CARGO", "RUSTC", "RUSTUP_TOOLCHAIN"] {
+            command.env_remove(name);
+        }
+        command
+    }
+
     /// Where Cargo puts what it makes.
     pub fn target(&self) -> PathBuf {
         std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| self.root.join("target"), PathBuf::from)
@@ -108,4 +119,12 @@ pub fn succeed(command: &mut Command) -> Result<(), String> {
 pub fn succeed_shown(command: &mut Command) -> Result<(), String> {
     println!("+ {command:?}");
     succeed(command)
+}
+
+/// The system this runs on, as Cargo names it.
+pub fn host_triple() -> Result<String, String> {
+    let output = Command::new("rustc").arg("-vV").output().map_err(|e| format!("rustc: {e}"))?;
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    let host = text.lines().find_map(|line| line.strip_prefix("host: "));
+    host.map(str::to_owned).ok_or_else(|| "rustc -vV names no host".to_owned())
 }

@@ -101,7 +101,7 @@ mod tests {
     #[test]
     fn octahedral_error_is_bounded() {
         let (mut worst, mut worst24, mut worst20) = (0f32, 0f32, 0f32);
-        for i in 0..100_000u32 {
+        for i in (0..100_000u32).step_by(if cfg!(miri) { 100 } else { 1 }) {
             let z = -1.0 + 2.0 * (i as f32 + 0.5) / 100_000.0;
             let phi = i as f32 * 2.399_963;
             let r = (1.0 - z * z).sqrt();

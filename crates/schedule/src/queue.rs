@@ -11,9 +11,6 @@ use std::time::Instant;
 /// Receivers of a batch: neighbors along the Morton curve, shaded by one worker.
 pub(crate) const BATCH_RECEIVERS: usize = 64;
 
-/// Batches that may be looked at ahead of those given to workers.
-const BATCHES_AHEAD: usize = 8;
-
 /// Receivers and the order to shade them in.
 pub(crate) struct Chunk<'r> {
     pub receivers: Cow<'r, [Receiver]>,
@@ -42,8 +39,6 @@ struct Entry<'r> {
     /// Receivers that were given to workers, in `order`, and those that came back.
     given: usize,
     done: usize,
-    /// Receivers in `order` up to which batches were looked at ahead.
-    ahead: usize,
 }
 
 #[derive(Default)]
@@ -66,8 +61,6 @@ pub(crate) struct Queue<'r> {
     filled: Condvar,
     /// A chunk is complete, or work has ended.
     completed: Condvar,
-    /// There is more to look at ahead, or work has ended.
-    advanced: Condvar,
 }
 
 impl<'r> Queue<'r> {
@@ -79,10 +72,9 @@ impl<'r> Queue<'r> {
     /// Appends a chunk.
     pub fn push(&self, chunk: Chunk<'r>) {
         let shadings = vec![Shading::default(); chunk.receivers.len()];
-        let entry = Entry { chunk: Arc::new(chunk), shadings, given: 0, done: 0, ahead: 0 };
+        let entry = Entry { chunk: Arc::new(chunk), shadings, given: 0, done: 0 };
         self.lock().entries.push_back(entry);
         self.filled.notify_all();
-        self.advanced.notify_all();
     }
 
     /// The next batch, in the order of the chunks, and the nanoseconds spent waiting for it; none
@@ -101,35 +93,12 @@ impl<'r> Queue<'r> {
                 let range = entry.given..end;
                 entry.given = end;
                 let number = first + at as u64;
-                self.advanced.notify_all();
                 break Some(Batch { chunk: entry.chunk.clone(), range, number });
             }
             waited.get_or_insert_with(Instant::now);
             state = self.filled.wait(state).unwrap_or_else(PoisonError::into_inner);
         };
         (batch, waited.map_or(0, |since| since.elapsed().as_nanos() as u64))
-    }
-
-    /// The middle receiver of the next batch that nobody has, not too far ahead of the workers; waits for one. None when work has ended.
-    pub fn next_ahead(&self) -> Option<(Arc<Chunk<'r>>, u32)> {
-        let mut state = self.lock();
-        while !state.stopped {
-            let mut waiting = 0;
-            for entry in &mut state.entries {
-                let len = entry.shadings.len();
-                entry.ahead = entry.ahead.max(entry.given);
-                let is_near = waiting + entry.ahead - entry.given < BATCHES_AHEAD * BATCH_RECEIVERS;
-                if entry.ahead < len && is_near {
-                    let end = (entry.ahead + BATCH_RECEIVERS).min(len);
-                    let middle = entry.chunk.order[(entry.ahead + end) / 2];
-                    entry.ahead = end;
-                    return Some((entry.chunk.clone(), middle));
-                }
-                waiting += len - entry.given;
-            }
-            state = self.advanced.wait(state).unwrap_or_else(PoisonError::into_inner);
-        }
-        None
     }
 
     /// Takes the results of a batch and returns how many receivers are done in all.
@@ -184,7 +153,6 @@ impl<'r> Queue<'r> {
         drop(state);
         self.filled.notify_all();
         self.completed.notify_all();
-        self.advanced.notify_all();
     }
 }
 

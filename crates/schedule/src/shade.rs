@@ -36,9 +36,6 @@ pub struct ShadeOptions<'a> {
     pub threads: usize,
     /// Order within a chunk.
     pub order: ReceiverOrder,
-    /// Whether one more thread, with a reader of its own, gathers for a receiver of each batch ahead of the workers, so that its pages are
-    /// there when they come.
-    pub prefetch: bool,
     /// Set from outside to stop.
     pub cancel: &'a AtomicBool,
     /// Told the number of receivers done, now and then, from any worker.
@@ -53,7 +50,6 @@ impl Default for ShadeOptions<'_> {
             gather: GatherSettings::default(),
             threads: 1,
             order: ReceiverOrder::Morton,
-            prefetch: false,
             cancel: &NEVER,
             progress: &|_| {},
         }
@@ -248,9 +244,6 @@ fn shade_alone<'r, T, E: From<ScheduleError>>(
     };
     let (fed, parts) = std::thread::scope(|scope| {
         let workers: Vec<_> = (0..options.threads.max(1)).map(|_| scope.spawn(work)).collect();
-        if options.prefetch {
-            scope.spawn(|| run_scout(octree, light, options, &queue));
-        }
         let guard = StopOnDrop(&queue);
         let attached = VecDeque::with_capacity(CHUNKS_IN_FLIGHT);
         let shades = Shades::Alone { queue: &queue, order: options.order, attached };
@@ -308,21 +301,6 @@ fn run_worker(
     report.cut = gatherer.stats();
     report.idle_seconds = idle_ns as f64 * 1e-9;
     report
-}
-
-/// Gathers for one receiver of each batch ahead of the workers. What comes of it is not kept; an error will be found again.
-fn run_scout(
-    octree: &Octree,
-    light: Option<&PreparedLight>,
-    options: &ShadeOptions<'_>,
-    queue: &Queue<'_>,
-) {
-    let mut gatherer = Gatherer::new(octree.reader(), &options.gather, light);
-    while let Some((chunk, index)) = queue.next_ahead() {
-        if gatherer.gather(&chunk.receivers[index as usize]).is_err() {
-            return;
-        }
-    }
 }
 
 /// Shades receivers that are all at hand and returns their results in the order given. See [`shade_stream`].
