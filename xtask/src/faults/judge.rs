@@ -10,6 +10,9 @@ use std::time::Duration;
 /// Codes of a run that has failed for a reason of the system: failed, input unreadable, out of disk.
 const CODES: [i32; 3] = [1, 3, 4];
 
+/// Runs from which on a kill that does not come is wrong.
+const TRIES: u32 = 4;
+
 /// What a message says where the file is there, and only its folder could not be synced.
 const WRITTEN: &str = "written, not synced";
 
@@ -131,8 +134,16 @@ impl Reference {
         scenario: &Scenario,
         fault: &Fault,
     ) -> Result<Result<bool, String>, String> {
-        let old = self.prepare(bench, scenario, fault.at.is_multiple_of(2))?;
-        let killed = bench.run(scenario, Some(fault))?;
+        // How many calls there are differs by a few from run to run, as threads come one before the other: the last may not come.
+        let mut tries = 1;
+        let (old, killed) = loop {
+            let old = self.prepare(bench, scenario, fault.at.is_multiple_of(2))?;
+            let killed = bench.run(scenario, Some(fault))?;
+            if killed.code != Some(0) || tries == TRIES {
+                break (old, killed);
+            }
+            tries += 1;
+        };
         if killed.code.is_some() {
             return Ok(Err(format!("it was not killed, but ended with {:?}", killed.code)));
         }
