@@ -2,7 +2,7 @@
 
 use crate::support::{bake, bake_and_open};
 use pbgi_build::BuildOptions;
-use pbgi_gather::{CutStats, GatherSettings, Receiver, Shading};
+use pbgi_gather::{CutStats, GatherSettings, Gatherer, Receiver, Shading};
 use pbgi_math::Vec3;
 use pbgi_schedule::{
     CHUNKS_IN_FLIGHT, Feed, KeptRecords, ReceiverOrder, ScheduleError, ShadeOptions, ShadeReport,
@@ -180,4 +180,31 @@ fn streams_end_with_what_went_wrong() {
     let cancel = AtomicBool::new(false);
     cancel.store(true, Ordering::Relaxed);
     assert_eq!(run(&cancel, None, false), Err("interrupted".to_owned()));
+}
+
+/// A receiver that comes again and again, between others whose nodes do not fit, asks for no page again: what was walked last is kept.
+#[test]
+fn what_was_walked_last_is_kept() {
+    let surfels = random_objects(20_000, 0.02, 3);
+    let options = BuildOptions { page_bytes: 4096, ..BuildOptions::default() };
+    let (_folder, octree) = bake_and_open(&surfels, &options);
+    let settings =
+        GatherSettings { node_bytes: 8 << 20, solid_angle_sr: 0.05, ..GatherSettings::default() };
+    let mut gatherer = Gatherer::new(octree.reader(), &settings, None);
+    let mut requests_of = |receiver: &Receiver| {
+        let count = |stats: CutStats| stats.levels.iter().map(|l| l.requests).sum::<u64>();
+        let before = count(gatherer.stats());
+        gatherer.gather(receiver).unwrap();
+        count(gatherer.stats()) - before
+    };
+    let receivers = receivers(200);
+    let (first, others) = receivers.split_first().unwrap();
+    assert!(requests_of(first) > 0);
+    let mut asked = 0;
+    for other in others {
+        asked += requests_of(other);
+        assert_eq!(requests_of(first), 0);
+    }
+    println!("{asked} requests of the others");
+    assert!(asked > 1000, "{asked} requests of the others");
 }

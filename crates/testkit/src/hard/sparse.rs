@@ -56,8 +56,8 @@ pub(super) const CASES: [HardCase; 6] = [
         why: CROWD,
         limit: Some(KnownLimit {
             today: 0.1,
-            because: "0.4 % of the whole, as 5 % are open: clusters are 2.5 % thinner than their surfels, which are 0.6 % of the whole too dark one by one, as \
-                rims of disks meet by chance",
+            because: "0.4 % of the whole, as 5 % are open: clusters are 2.5 % thinner than their surfels, which are 0.6 % of the whole too dark one by one, half of \
+                it as rims of disks meet by chance",
         }),
         measure: |engine| crowd(engine, 3.0, None),
     },
