@@ -2,8 +2,8 @@
 
 use crate::workspace::{Workspace, host_triple, succeed_shown};
 
-/// Crates whose tests Miri runs: what is computed with, what bytes of a file become, pages in memory, and rasters in lanes.
-const INTERPRETED: [&str; 4] = ["pbgi-math", "pbgi-format", "pbgi-store", "pbgi-raster"];
+/// Crates whose tests Miri runs: what is computed with, what bytes of a file become, and pages in memory.
+const INTERPRETED: [&str; 3] = ["pbgi-math", "pbgi-format", "pbgi-store"];
 
 /// Crates whose tests run under a sanitizer: those with unsafe code, and those that run them on many threads.
 const SANITIZED: [&str; 6] =

@@ -65,6 +65,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "counts for an hour")]
     fn areas_match_counting() {
         let half = Vec3::new(0.7, 0.4, 1.1);
         for normal in [
