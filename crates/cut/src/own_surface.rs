@@ -8,6 +8,11 @@ use pbgi_format::CHILDREN_MAX;
 use pbgi_math::{Vec3, larger};
 use pbgi_store::StoreError;
 
+/// Share of its radius by which a rectangle or triangle that looks the same way as the receiver's surface must rise above the plane of that to hide
+/// anything: so far do neighbors on a curved surface, where receivers are means over pixels, which lie below it. Without it the light of a picture's own
+/// G-buffer is off by 4.7 %, not 3.
+const ALIKE_BIAS: f32 = 0.05;
+
 /// Cosine of the angle between normals above which a near disk may be a piece of the receiver's own curved surface.
 const OWN_SURFACE_COSINE: f32 = 0.7;
 
@@ -72,7 +77,8 @@ pub(crate) fn is_own_surface(
             return top <= 0.0 || is_in_plane(surfel, center, depth);
         }
         // All else hides if it rises by more than rounding explains, its own and that of a receiver that was such a surfel itself.
-        return top <= 2.0 * rounding + surfel.outline_error(plane);
+        let rounding = 2.0 * rounding + surfel.outline_error(plane);
+        return top <= if tilt > 0.0 { rounding.max(ALIKE_BIAS * surfel.radius) } else { rounding };
     }
     let top = height + reach_along(surfel, plane);
     // A surface does not face its own front: what does hangs over the receiver, however low.

@@ -10,7 +10,7 @@ use pbgi_store::{Octree, try_for_each_leaf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::sync_channel;
 
-/// Surfels drawn at once.
+/// Surfels drawn at once. Up to four chunks of them are on their way, 1.3 MiB.
 const CHUNK_SURFELS: usize = 1 << 13;
 
 /// Albedo shown where a file has none: that of plaster, and of materials without a color.

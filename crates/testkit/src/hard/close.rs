@@ -62,7 +62,10 @@ pub(super) const CASES: [HardCase; 18] = [
         about: "two sheets that face the same way, 10⁻³ apart; openness on the lower, which the back of the upper hides",
         promise: 0.01,
         why: OUTLINE,
-        limit: None,
+        limit: Some(KnownLimit {
+            today: 1.0,
+            because: "0.05 of a tile's radius for tiles that look the same way as the receiver: receivers of G-buffers lie below bent surfaces",
+        }),
         measure: under_a_back,
     },
     HardCase {
