@@ -72,12 +72,13 @@ pub(crate) fn is_own_surface(
     let depth = center.dot(surfel.normal);
     if !matches!(surfel.shape, SurfelShape::Disk { .. }) {
         let top = height + reach_along(surfel, plane);
-        // What faces the receiver hangs over it, however low, but for the other side of its own sheet, folded or not, in whose plane it lies.
-        if tilt < -FOLD_COSINE {
-            return top <= 0.0 || is_in_plane(surfel, center, depth);
-        }
-        // All else hides if it rises by more than rounding explains, its own and that of a receiver that was such a surfel itself.
+        // It hides if it rises by more than rounding explains, its own and that of a receiver that was such a surfel itself.
         let rounding = 2.0 * rounding + surfel.outline_error(plane);
+        if tilt < -FOLD_COSINE {
+            // What faces the receiver hangs over it, however low, but for the other side of its own sheet: folded away, it lies below; folded toward
+            // the receiver or not at all, the receiver is in its plane.
+            return (height <= 0.0 && top <= rounding) || is_in_plane(surfel, center, depth);
+        }
         return top <= if tilt > 0.0 { rounding.max(ALIKE_BIAS * surfel.radius) } else { rounding };
     }
     let top = height + reach_along(surfel, plane);
