@@ -156,7 +156,7 @@ fn gaps_between_pages_of_many_sizes_do_not_break_the_budget() {
         let budget = 20 * 65_536;
         let cache = Cache::new(&sizes, budget).unwrap();
         let mut pinned = std::collections::VecDeque::new();
-        for round in 0..if cfg!(miri) { 5 } else { 3000u32 } {
+        for round in 0..if cfg!(miri) { 24 } else { 3000u32 } {
             let id = (round * round % 211 + round * 31) % 200;
             let page = load(&cache, id, sizes[id as usize] as usize);
             assert!(page.bytes().iter().all(|byte| *byte == id as u8));
@@ -167,7 +167,8 @@ fn gaps_between_pages_of_many_sizes_do_not_break_the_budget() {
             assert!(cache.region.held_bytes() <= budget);
         }
         cache.validate();
-        assert!(cache.stats().evictions > 1000 && cache.stats().hits > 100);
+        let stats = cache.stats();
+        assert!(cfg!(miri) || (stats.evictions > 1000 && stats.hits > 100), "{stats:?}");
     });
 }
 
