@@ -48,7 +48,7 @@ Usage: cargo xtask COMMAND
                   fail, fill and kill every program at calls on files (minutes, with --short a few moments of each kind)
   fuzz [--minutes N] [TARGETS]
                   search N minutes (5) for inputs that a reader fails on, of every target of fuzz/ or of these; needs nightly and C++
-  miri [NAMES]    run unit tests of what reads pages and counts in lanes under Miri, all or those whose names contain one of these
+  miri [NAMES]    run unit tests of numbers, formats and pages in memory under Miri, all or those whose names contain one of these
                   (half an hour); needs nightly with miri and rust-src
   sanitize address|thread
                   run tests under a sanitizer (minutes); needs nightly with rust-src

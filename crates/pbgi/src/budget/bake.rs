@@ -47,11 +47,16 @@ impl BakeMemory {
         Self { limit, raster_edge, threads: threads.clamp(1, affordable.max(1)) }
     }
 
+    /// Whether surfels are lit.
+    fn lights(&self) -> bool {
+        self.raster_edge.is_some()
+    }
+
     /// Bytes set aside for building and shading.
     pub fn reserve(&self) -> u64 {
         let workers = self.threads as u64 * thread_bytes(self.raster_edge);
         let mut bytes = BUILD_BYTES + MARGIN_BYTES + workers;
-        if self.raster_edge.is_some() {
+        if self.lights() {
             bytes += CHUNK_RECEIVERS as u64 * SHADED_SURFEL_BYTES;
         }
         bytes + self.node_bytes()
@@ -59,12 +64,12 @@ impl BakeMemory {
 
     /// Bytes of decoded nodes that gathers keep.
     fn node_bytes(&self) -> u64 {
-        if self.raster_edge.is_some() { node_bytes_held(self.limit, self.threads) } else { 0 }
+        if self.lights() { node_bytes_held(self.limit, self.threads) } else { 0 }
     }
 
     /// The least limit that holds so many bytes besides these.
     fn limit_for(&self, beside: u64) -> u64 {
-        if self.raster_edge.is_some() { limit_beside_nodes(beside, self.threads) } else { beside }
+        if self.lights() { limit_beside_nodes(beside, self.threads) } else { beside }
     }
 
     /// Bytes for the sort, now that all inputs are open: what they and the reserve leave, or half of it
@@ -78,7 +83,7 @@ impl BakeMemory {
     }
 
     fn sort_bytes_beside(&self, held: u64) -> Result<u64, PbgiError> {
-        let parts = if self.raster_edge.is_some() { 2 } else { 1 };
+        let parts = if self.lights() { 2 } else { 1 };
         let least = held + self.reserve() + parts * BUDGET_BYTES_MIN;
         if least > self.limit {
             let beside = least + MARGIN_BYTES - self.node_bytes();
