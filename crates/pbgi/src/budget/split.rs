@@ -21,8 +21,8 @@ const CACHE_BYTES_MIN: u64 = 4 << 20;
 /// Least bytes of decoded nodes that a worker keeps.
 const NODE_BYTES_MIN: u64 = 128 << 10;
 
-/// What a limit has beyond what every program takes, over the decoded nodes of all workers. With half as much for nodes, a street within 96 MiB takes a
-/// third longer; with twice as much a twentieth less, but little is left for pictures and pages.
+/// What a limit has beyond what every program takes, over the decoded nodes of all workers. Within 96 MiB two workers keep 2 MiB each; a street of a
+/// million surfels takes a seventh longer with 1.5 MiB, and a seventh less with 3, but then little is left for pictures and pages.
 const NODES_PART: u64 = 16;
 const PROGRAM_BYTES_LEAST: u64 = 32 << 20;
 
