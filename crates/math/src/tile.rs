@@ -290,7 +290,7 @@ mod tests {
     #[test]
     fn stored_normals_are_stored_again_without_change() {
         // Else a copied code would turn the rectangle: frames jump where z changes its sign.
-        for code in 0..1 << 24 {
+        for code in (0..1 << 24).step_by(if cfg!(miri) { 9973 } else { 1 }) {
             let normal = decode_octahedral24(code);
             let again = decode_octahedral24(encode_octahedral24(normal));
             assert!((normal - again).length() < 1e-6, "{code:#x}: {normal} {again}");
