@@ -106,6 +106,7 @@ pub struct Shading {
     target_error: Option<f64>,
     interpolation: Option<f32>,
     raster: Option<usize>,
+    directions: Option<usize>,
     check: usize,
     gloss: bool,
     roughness: Option<f32>,
@@ -131,6 +132,7 @@ impl Shading {
                 .interpolation
                 .unwrap_or_else(|| ShadeSettings::usual_interpolation(self.target_error)),
             raster_edge: self.raster.unwrap_or(own.raster_edge),
+            directions: self.directions.unwrap_or(own.directions),
             check_receivers: self.check,
             gloss: is_glossy.then_some(numbers),
             threads: thread_count(self.threads, memory_bytes),

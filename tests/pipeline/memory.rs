@@ -2,7 +2,9 @@
 
 use crate::support::bake_and_open;
 use pbgi_build::BuildOptions;
-use pbgi_gather::{GatherSettings, Gatherer, Gloss, Material, Receiver, Tolerance, gatherer_bytes};
+use pbgi_gather::{
+    GatherSettings, Gatherer, Gloss, LOBE_LEVEL_MAX, Material, Receiver, Tolerance, gatherer_bytes,
+};
 use pbgi_math::Vec3;
 use pbgi_store::Octree;
 use pbgi_testkit::random_objects;
@@ -57,8 +59,10 @@ fn gatherers_hold_what_they_say() {
     for objects in [random_objects(2000, 2.0, 7), random_objects(20_000, 0.02, 7)] {
         let (_folder, octree) = bake_and_open(&objects, &BuildOptions::default());
         for raster_edge in [1, 6, 16, 17, 64] {
-            let (peak, said) =
-                (peak_of_gatherer(&octree, raster_edge), gatherer_bytes(raster_edge));
+            let (peak, said) = (
+                peak_of_gatherer(&octree, raster_edge),
+                gatherer_bytes(raster_edge, LOBE_LEVEL_MAX),
+            );
             println!("{raster_edge}: {peak} of {said}");
             assert!(peak <= said, "{raster_edge}: {peak} of {said}");
         }
@@ -70,7 +74,7 @@ fn peak_of_gatherer(octree: &Octree, raster_edge: usize) -> usize {
     let settings = GatherSettings {
         raster_edge,
         solid_angle_sr: 0.0,
-        lobe_level: 4,
+        lobe_level: LOBE_LEVEL_MAX,
         tolerance: 0.1,
         finds_backs: true,
         node_bytes: 0,

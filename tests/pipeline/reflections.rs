@@ -1,15 +1,17 @@
 //! Glossy receivers and directional importance against closed forms.
 
 use crate::support::bake_and_open;
+use pbgi_brdf::GgxLobe;
 use pbgi_build::BuildOptions;
 use pbgi_cloud::Surfel;
 use pbgi_gather::{
-    GatherSettings, Gatherer, Gloss, ImportanceTerms, Material, PreparedLight, Receiver,
+    GatherSettings, Gatherer, Gloss, ImportanceTerms, Material, PreparedLight, Receiver, lobe_level,
 };
 use pbgi_light::{Environment, EnvironmentOptions, SkyParameters, synthetic_sky};
 use pbgi_math::Vec3;
 use pbgi_store::Octree;
 use pbgi_testkit::{SurfelForm, closed_room, random_objects, sphere_directions};
+use std::f32::consts::{PI, SQRT_2};
 
 /// A metal that reflects all it can, of a width of slopes.
 fn metal(alpha: f32) -> Material {
@@ -85,7 +87,7 @@ fn smooth_surfaces_show_sharp_edges() {
     assert!((1.5..4.5).contains(&shown(0.02, 0.3)) && (1.5..4.5).contains(&shown(-0.02, 0.3)));
 }
 
-/// The sun's reflection in an open plane is its irradiance times the reflectance, summed over its disk.
+/// The sun's reflection in an open plane is its irradiance times the reflectance, summed over its square.
 #[test]
 fn the_suns_reflection_has_its_flux() {
     let (_folder, octree) = bake_and_open(&plane(|_| 0.0), &BuildOptions::default());
@@ -109,7 +111,7 @@ fn the_suns_reflection_has_its_flux() {
         let smith = 2.0 * 0.8 / (0.8 + (a2 + (1.0 - a2) * 0.64f32).sqrt());
         // Of uniform light, so much would come back at the first bounce; the rest does at later ones.
         let first = if alpha == 0.1 { 0.9846 } else { 0.8560 };
-        let expected = 1000.0 * smith * smith / (std::f32::consts::PI * a2 * 4.0 * 0.8 * first);
+        let expected = 1000.0 * smith * smith / (PI * a2 * 4.0 * 0.8 * first);
         assert!((found.reflected[0] / expected - 1.0).abs() < 0.02, "{alpha}: {found:?}");
     }
 }
@@ -208,4 +210,72 @@ fn results_change_smoothly_from_frame_to_frame() {
         assert!(found < truth + 3.0 * error + 0.02, "{name}: {found} {truth} {error}");
         assert!(error < 0.1, "{name}: {error}");
     }
+}
+
+/// Sparks that hide each other, some of them dark, as a rough metal reflects them: against rays to all of them, the error falls with the number of
+/// directions, and is below 2 % with the most there are.
+#[test]
+fn reflections_of_sparks_fall_with_the_number_of_directions() {
+    const SPARKS: usize = 400;
+    const HALF_EDGE: f32 = 0.03;
+    let directions: Vec<Vec3> = sphere_directions(SPARKS as u32).collect();
+    let sparks: Vec<Surfel> = (0..SPARKS)
+        .map(|i| {
+            let share = (i * 389 % SPARKS) as f32 / SPARKS as f32;
+            let center = directions[i] * 0.5 * share.cbrt() + Vec3::Y * 1.2;
+            let normal = directions[i * 617 % SPARKS];
+            let light = [8.0, 1.0, 0.0][i % 3];
+            Surfel::new(center, normal, HALF_EDGE * SQRT_2, 4.0 * HALF_EDGE * HALF_EDGE)
+                .with_tile(normal.any_orthonormal_vector(), 1.0)
+                .with_radiance([light; 3])
+        })
+        .collect();
+    let (_folder, octree) = bake_and_open(&sparks, &BuildOptions::default());
+    let receivers: Vec<Receiver> = (0..8)
+        .map(|i| {
+            let at = Vec3::new(0.05 * (i % 4) as f32 - 0.1, 0.0, 0.02 * i as f32);
+            let eye = Vec3::new(-0.3, 2.0, 0.1 * i as f32 - 0.4);
+            glossy(at, Vec3::Y, eye, 0.3)
+        })
+        .collect();
+    let truth: Vec<f32> = receivers.iter().map(|r| reflected_of_rays(r, &sparks)).collect();
+    let mean = truth.iter().sum::<f32>() / truth.len() as f32;
+    let errors = [1024, 16_384].map(|directions| {
+        let lobe_level = lobe_level(directions).unwrap();
+        let settings =
+            GatherSettings { lobe_level, solid_angle_sr: 0.0, ..GatherSettings::default() };
+        let mut gatherer = Gatherer::new(octree.reader(), &settings, None);
+        let found = receivers.iter().map(|r| gatherer.gather(r).unwrap().reflected[1]);
+        let squares = found.zip(&truth).map(|(found, truth)| ((found - truth) / mean).powi(2));
+        (squares.sum::<f32>() / truth.len() as f32).sqrt()
+    });
+    println!("{errors:?}");
+    assert!(errors[1] < 0.02 && errors[1] < 0.7 * errors[0], "{errors:?}");
+}
+
+/// What a receiver reflects of squares that hide on both sides and shine on one, by rays in evenly spread directions around +y.
+fn reflected_of_rays(receiver: &Receiver, squares: &[Surfel]) -> f32 {
+    const RAYS: u32 = 300_000;
+    let gloss = receiver.gloss.unwrap();
+    let lobe = GgxLobe::new(&gloss.material, receiver.normal, gloss.toward_eye).unwrap();
+    let radiance = |direction: Vec3| {
+        let hit = |square: &&Surfel| {
+            let (toward, normal) = (square.center() - receiver.position, square.normal());
+            let cosine = normal.dot(direction);
+            let distance = normal.dot(toward) / cosine;
+            let off = direction * distance - toward;
+            let is_met = square
+                .half_edges()
+                .unwrap()
+                .iter()
+                .all(|edge| off.dot(*edge).abs() <= edge.length_squared());
+            (distance > 0.0 && is_met).then_some((distance, cosine))
+        };
+        let hits = squares.iter().filter_map(|square| Some((hit(&square)?, square.radiance[1])));
+        let nearest = hits.min_by(|a, b| a.0.0.total_cmp(&b.0.0));
+        nearest.map_or(0.0, |((_, cosine), light)| if cosine < 0.0 { light } else { 0.0 })
+    };
+    let above = sphere_directions(RAYS).filter(|direction| direction.y > 0.8);
+    let sum: f32 = above.map(|d| radiance(d) * lobe.reflect(d)[1]).sum();
+    sum * 4.0 * PI / RAYS as f32
 }

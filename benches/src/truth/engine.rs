@@ -38,7 +38,7 @@ pub const LADDER: [Setting; 8] = [
     setting(4.0, 0.2, 8, 2),
     setting(4.0, 0.08, 8, 2),
     setting(4.0, 0.02, 16, 3),
-    setting(4.0, 0.008, 24, 4),
+    setting(4.0, 0.008, 24, 5),
 ];
 
 impl Default for Setting {

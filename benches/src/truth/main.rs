@@ -20,7 +20,7 @@ use clap::Parser;
 use engine::{LADDER, Setting, bake_case, gather_all};
 use paths::{RayCurve, Truth};
 use pbgi_benches::{Caster, SkyImage};
-use pbgi_gather::Receiver;
+use pbgi_gather::{Receiver, lobe_level};
 use pbgi_store::Octree;
 use record::Records;
 use report::Row;
@@ -55,6 +55,9 @@ struct Arguments {
     /// Texels along a face of the raster.
     #[arg(long, default_value_t = Setting::default().raster_edge)]
     raster: usize,
+    /// Directions of a reflection: 16, 64, 256, 1024, 4096 or 16384.
+    #[arg(long = "directions", value_name = "DIRECTIONS", default_value = "1024", value_parser = parse_directions)]
+    lobe_level: u32,
     /// Only those settings: no curves, and no times of rays.
     #[arg(long)]
     brief: bool,
@@ -133,6 +136,7 @@ impl Bench<'_> {
         let setting = Setting {
             solid_angle_sr: arguments.solid_angle,
             raster_edge: arguments.raster,
+            lobe_level: arguments.lobe_level,
             ..Setting::default()
         };
         let (found, us) = gather_all(case, &octree, &setting, &places)?;
@@ -257,6 +261,12 @@ fn run_whole(arguments: &Arguments, width: u32, temporary: &Path) -> Result<Vec<
         rows.extend(of_case);
     }
     Ok(rows)
+}
+
+/// The level of so many directions.
+fn parse_directions(text: &str) -> Result<u32, String> {
+    let found = text.parse().ok().and_then(lobe_level);
+    found.ok_or_else(|| "expected 16, 64, 256, 1024, 4096 or 16384".to_owned())
 }
 
 fn main() -> Result<()> {

@@ -52,13 +52,13 @@ pub struct LobePattern {
 }
 
 impl LobePattern {
-    /// A pattern of 4^`level` groups of sixteen directions, `level` at most 4.
+    /// A pattern of 4^`level` groups of sixteen directions, `level` at most 5.
     ///
     /// The first points of the Sobol sequence (1967) on the unit square, laid over a disk by azimuth and squared radius, so that each of as many
     /// rings of equal area holds one. Groups are spots of it: some rings side by side, cut at some azimuths.
     #[must_use]
     pub fn new(level: u32) -> Self {
-        let groups = 1usize << (2 * level.min(4));
+        let groups = 1usize << (2 * level.min(5));
         let count = groups * SAMPLES;
         let offset = 0.5 / count as f32;
         let mut points: Vec<[f32; 2]> =

@@ -15,8 +15,8 @@ use pbgi_cut::{
 };
 use pbgi_math::Vec3;
 use pbgi_raster::{
-    CubeRaster, CubeRasterTable, Lanes, SimdLevel, WideKernel, Window, WindowRaster, row_stride,
-    run_wide,
+    CubeRaster, CubeRasterTable, Lanes, SAMPLES, SimdLevel, WideKernel, Window, WindowRaster,
+    row_stride, run_wide,
 };
 use pbgi_store::{Reader, StoreError};
 use std::marker::PhantomData;
@@ -43,7 +43,7 @@ pub struct GatherSettings {
     pub importance: ImportanceTerms,
     /// Texels along a face of the cube raster, 1 to 64.
     pub raster_edge: usize,
-    /// Directions of a reflection: 16 · 4^`lobe_level`; at most 4.
+    /// Directions of a reflection: 16 · 4^`lobe_level`; at most [`LOBE_LEVEL_MAX`].
     pub lobe_level: u32,
     /// Disks that rise less than this share of their radius above the receiver's plane
     /// are its own surface.
@@ -80,16 +80,35 @@ impl Default for GatherSettings {
     }
 }
 
+/// The most directions of a reflection: 16 384, which err by 1 to 2 % where 1 024 do by 2 to 5 % (docs/measuring.md).
+pub const LOBE_LEVEL_MAX: u32 = 5;
+
+/// The level of so many directions of a reflection, if there is one.
+#[must_use]
+pub fn lobe_level(directions: usize) -> Option<u32> {
+    (0..=LOBE_LEVEL_MAX).find(|level| lobe_directions(*level) == directions)
+}
+
+/// Directions of a reflection.
+#[must_use]
+pub fn lobe_directions(level: u32) -> usize {
+    SAMPLES << (2 * level.min(LOBE_LEVEL_MAX))
+}
+
 /// Bytes per texel of a raster and of the tables that it is convolved and differentiated by, while they are made.
 const TEXEL_BYTES: usize = 520;
 
-/// Bytes of pieces that wait for others, lists of lamps, directions of a lobe and windows, whatever the raster's size.
-const SCRATCH_BYTES: usize = 5 << 19;
+/// Bytes per direction of a reflection.
+const DIRECTION_BYTES: usize = 128;
+
+/// Bytes of pieces that wait for others, lists of lamps and windows, whatever the raster's size.
+const SCRATCH_BYTES: usize = 2 << 20;
 
 /// Bytes that a [`Gatherer`] holds at most with `edge` texels along a face, besides decoded nodes.
 #[must_use]
-pub fn gatherer_bytes(edge: usize) -> usize {
-    6 * edge * row_stride(edge) * TEXEL_BYTES + SCRATCH_BYTES
+pub fn gatherer_bytes(edge: usize, lobe_level: u32) -> usize {
+    let texels = 6 * edge * row_stride(edge);
+    texels * TEXEL_BYTES + lobe_directions(lobe_level) * DIRECTION_BYTES + SCRATCH_BYTES
 }
 
 /// Everything one thread needs to gather for receivers, one after the other.

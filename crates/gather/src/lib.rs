@@ -16,7 +16,10 @@ mod visitors;
 mod windows;
 
 pub use importance::ImportanceTerms;
-pub use integrator::{GatherParts, GatherSettings, Gatherer, gatherer_bytes};
+pub use integrator::{
+    GatherParts, GatherSettings, Gatherer, LOBE_LEVEL_MAX, gatherer_bytes, lobe_directions,
+    lobe_level,
+};
 pub use light::PreparedLight;
 pub use pbgi_brdf::Material;
 pub use pbgi_cut::{CutStats, KNOWN_BYTES, LevelStats};

@@ -6,6 +6,7 @@ use crate::figures::format_bytes;
 use crate::shade::CHUNK_RECEIVERS;
 use pbgi_build::BuildOptions;
 use pbgi_file::platform::resident_bytes;
+use pbgi_gather::GatherSettings;
 use pbgi_sort::BUDGET_BYTES_MIN;
 use pbgi_store::PIN_BYTES_PER_READER_MIN;
 
@@ -28,7 +29,8 @@ pub(crate) fn reader_cache_bytes(limit: u64) -> u64 {
 
 /// Bytes that a worker holds, which lights surfels by such a raster.
 fn thread_bytes(raster_edge: Option<usize>) -> u64 {
-    raster_edge.map_or(THREAD_BYTES, worker_bytes)
+    let lobe_level = GatherSettings::default().lobe_level;
+    raster_edge.map_or(THREAD_BYTES, |edge| worker_bytes(edge, lobe_level))
 }
 
 /// The parts of a bake's memory limit. None of them changes the result.

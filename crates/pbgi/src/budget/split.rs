@@ -33,9 +33,9 @@ pub(crate) fn node_bytes(limit_bytes: u64, threads: usize) -> usize {
     each.clamp(NODE_BYTES_MIN, KNOWN_BYTES as u64) as usize
 }
 
-/// Bytes that a worker holds besides decoded nodes, with so many texels along a face of its raster.
-pub(crate) fn worker_bytes(raster_edge: usize) -> u64 {
-    STACK_BYTES + gatherer_bytes(raster_edge) as u64
+/// Bytes that a worker holds besides decoded nodes, with so many texels along a face of its raster and so many directions of a reflection.
+pub(crate) fn worker_bytes(raster_edge: usize, lobe_level: u32) -> u64 {
+    STACK_BYTES + gatherer_bytes(raster_edge, lobe_level) as u64
 }
 
 /// Bytes that all workers hold for that: what is kept grows by doubling.
@@ -78,7 +78,7 @@ impl MemorySplit {
     /// A split for what the process holds now, before frame and cache have their shares.
     pub(crate) fn measure(settings: &ShadeSettings) -> Self {
         let resident = resident_bytes().unwrap_or(PROGRAM_BYTES);
-        let workers = worker_bytes(settings.raster_edge) * settings.threads as u64;
+        let workers = settings.worker_bytes() * settings.threads as u64;
         Self::new(settings.memory_bytes, resident + MARGIN_BYTES + workers, settings.threads)
     }
 

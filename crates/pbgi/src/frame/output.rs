@@ -268,6 +268,7 @@ pub(crate) fn settings_attributes(
         ("pbgi:interpolation".to_owned(), Float(report.interpolation)),
         ("pbgi:importance".to_owned(), Text(settings.importance.to_string())),
         ("pbgi:raster".to_owned(), Int(settings.raster_edge as i32)),
+        ("pbgi:directions".to_owned(), Int(settings.directions as i32)),
         ("pbgi:bias".to_owned(), Float(settings.bias)),
         ("pbgi:receivers".to_owned(), Text(report.receivers.to_string())),
     ];

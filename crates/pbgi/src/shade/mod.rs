@@ -8,7 +8,7 @@ pub(crate) mod target;
 
 use crate::PbgiError;
 use crate::budget::reading::read_within;
-use crate::budget::split::{MemorySplit, node_bytes};
+use crate::budget::split::{MemorySplit, node_bytes, worker_bytes};
 use crate::figures::{format_bytes, format_count, format_seconds};
 use crate::progress::Progress;
 use crate::shade::check::{CheckReport, CheckSample, PartReport};
@@ -17,7 +17,8 @@ use crate::shade::target::{Calibration, TargetReport};
 use pbgi_file::platform::{peak_resident_bytes, processor_seconds};
 use pbgi_format::{Channels, Header};
 use pbgi_gather::{
-    GatherParts, GatherSettings, Gloss, ImportanceTerms, Material, PreparedLight, Receiver, Shading,
+    GatherParts, GatherSettings, Gloss, ImportanceTerms, LOBE_LEVEL_MAX, Material, PreparedLight,
+    Receiver, Shading, lobe_directions, lobe_level,
 };
 use pbgi_image::read_environment_noting_within;
 use pbgi_light::{Environment, EnvironmentOptions, UpAxis};
@@ -223,6 +224,8 @@ pub struct ShadeSettings {
     pub importance: ImportanceTerms,
     /// Texels along a face of the cube raster, 1 to 64.
     pub raster_edge: usize,
+    /// Directions of a reflection: 16, 64, 256, 1024, 4096 or 16 384. More of them see smaller things, and what hides what among them.
+    pub directions: usize,
     /// Glossy reflections, if any.
     pub gloss: Option<GlossSettings>,
     /// Surfels that rise less than this share of their radius above a receiver's tangent plane are its
@@ -260,6 +263,7 @@ impl Default for ShadeSettings {
             interpolation: 0.0,
             importance: gather.importance,
             raster_edge: gather.raster_edge,
+            directions: lobe_directions(gather.lobe_level),
             gloss: None,
             bias: gather.bias,
             environment: None,
@@ -301,6 +305,10 @@ impl ShadeSettings {
         if !(1..=64).contains(&self.raster_edge) {
             return out_of_range("the raster", &self.raster_edge, "1 to 64 texels along a face");
         }
+        if lobe_level(self.directions).is_none() {
+            let expected = "16, 64, 256, 1024, 4096 or 16384";
+            return out_of_range("the number of directions", &self.directions, expected);
+        }
         if !(0.0..=10.0).contains(&self.bias) {
             return out_of_range("the bias", &self.bias, "a share of a radius from 0 to 10");
         }
@@ -327,11 +335,21 @@ impl ShadeSettings {
         if self.interpolation > 0.0 { RECORD_BYTES as u64 } else { 0 }
     }
 
+    /// Bytes that a worker holds besides decoded nodes.
+    pub(crate) fn worker_bytes(&self) -> u64 {
+        worker_bytes(self.raster_edge, self.lobe_level())
+    }
+
+    fn lobe_level(&self) -> u32 {
+        lobe_level(self.directions).unwrap_or(LOBE_LEVEL_MAX)
+    }
+
     fn gather(&self, header: &Header) -> GatherSettings {
         GatherSettings {
             solid_angle_sr: self.solid_angle_sr,
             importance: self.importance,
             raster_edge: self.raster_edge,
+            lobe_level: self.lobe_level(),
             bias: self.bias,
             node_bytes: node_bytes(self.memory_bytes, self.threads),
             up: up_axis(header),
@@ -605,6 +623,7 @@ impl<'a> Session<'a> {
             target: self.target,
             importance: self.gather.importance.to_string(),
             raster_edge: self.gather.raster_edge,
+            directions: lobe_directions(self.gather.lobe_level),
             threads: self.threads,
             environment_peaks: self.environment.as_ref().map_or(0, |e| e.peaks().len()),
             total_seconds: 0.0,
@@ -751,6 +770,8 @@ pub struct ShadeReport {
     pub importance: String,
     /// Texels along a face of the cube raster.
     pub raster_edge: usize,
+    /// Directions of a reflection.
+    pub directions: usize,
     /// Worker threads.
     pub threads: usize,
     /// Small bright lights the environment was found to have.

@@ -333,6 +333,13 @@ pub struct QualityArgs {
     #[arg(long, value_name = "N", default_value_t = ShadeSettings::default().raster_edge,
           hide_short_help = true)]
     pub raster: usize,
+    /// Directions of a reflection: 16, 64, 256, 1024, 4096 or 16384
+    ///
+    /// More of them see smaller things, and what hides what among them: a fire of 30 k sparks in glossy ground errs by 4.7, 2.8 and 1.8 % with
+    /// 1024, 4096 and 16384.
+    #[arg(long, value_name = "N", default_value_t = ShadeSettings::default().directions,
+          hide_short_help = true)]
+    pub directions: usize,
     /// Surfels that rise less than this share of their radius above a receiver are its own surface
     #[arg(long, value_name = "SHARE", default_value_t = ShadeSettings::default().bias,
           hide_short_help = true)]

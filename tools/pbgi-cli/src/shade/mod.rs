@@ -181,6 +181,7 @@ fn settings(args: &ShadeArgs) -> Result<ShadeSettings, PbgiError> {
         importance: args.quality.importance,
         gloss: args.gloss.settings(),
         raster_edge: args.quality.raster,
+        directions: args.quality.directions,
         bias: args.quality.bias,
         environment: args.light.spec()?,
         check_receivers: args.quality.check,

@@ -96,6 +96,7 @@ fn settings_out_of_range_are_misuse() {
         ("--solid-angle", "nan"),
         ("--solid-angle", "-1"),
         ("--raster", "65"),
+        ("--directions", "1000"),
         ("--samples", "5"),
         ("--shading-rate", "0"),
         ("--memory-limit", "1MiB"),
