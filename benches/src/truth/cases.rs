@@ -12,7 +12,7 @@ use pbgi_scene::{
 use std::path::PathBuf;
 
 /// All cases, in the order of the tables.
-pub const CASES: [&str; 13] = [
+pub const CASES: [&str; 14] = [
     "cornell",
     "cornell3",
     "sponza-overcast",
@@ -23,13 +23,17 @@ pub const CASES: [&str; 13] = [
     "street",
     "street1",
     "foliage",
+    "fire",
     "fire30",
     "fire10",
     "scan",
 ];
 
 /// Cases that have no picture: others show nearly the same.
-pub const WITHOUT_PICTURE: [&str; 4] = ["cornell", "sponza1", "street1", "fire30"];
+pub const WITHOUT_PICTURE: [&str; 5] = ["cornell", "sponza1", "street1", "fire", "fire30"];
+
+/// Cases of which, beside a whole picture, all surfels are shaded.
+pub const WITH_SURFELS: [&str; 2] = ["street", "fire"];
 
 /// How many times fewer surfels the box has than other scenes: it is small and smooth.
 const BOX_SHARE: u64 = 10;
@@ -103,7 +107,7 @@ impl Quantity {
 }
 
 impl Case {
-    fn new(name: &str, title: &'static str, scene: Scene, camera: Camera) -> Self {
+    pub fn new(name: &str, title: &'static str, scene: Scene, camera: Camera) -> Self {
         let name = name.to_owned();
         Self { name, title, scene, camera, sky: None, bounces: 0, gloss: None }
     }
@@ -216,7 +220,7 @@ pub fn make_case(name: &str, folders: &Folders) -> Result<Option<Case>> {
             let case = Case::new(name, "Bunny on a plane", scene, camera);
             Some(case.under(sky("potsdamer_platz_1k.hdr")?))
         }
-        "fire30" | "fire10" => fire(name, folders)?,
+        "fire" | "fire30" | "fire10" => fire(name, folders)?,
         _ => bail!("there is no case {name}; see --help"),
     })
 }
@@ -231,11 +235,12 @@ fn fire(name: &str, folders: &Folders) -> Result<Option<Case>> {
     let Some(camera) = scene.cameras.first().cloned() else {
         bail!("{} has no camera, expected one", path.display())
     };
-    let (alpha, title) = match name {
-        "fire30" => (0.3, "Fire over glossy ground, α = 0.3"),
-        _ => (0.1, "Fire over glossy ground, α = 0.1"),
+    let (gloss, title) = match name {
+        "fire" => (None, "Fire"),
+        "fire30" => (Some(0.3), "Fire over glossy ground, α = 0.3"),
+        _ => (Some(0.1), "Fire over glossy ground, α = 0.1"),
     };
-    Ok(Some(Case { gloss: Some(alpha), ..Case::new(name, title, scene, camera) }))
+    Ok(Some(Case { gloss, ..Case::new(name, title, scene, camera) }))
 }
 
 /// Adds a plane six times as wide below a scene.

@@ -15,7 +15,7 @@ mod whole;
 mod workers;
 
 use anyhow::{Context, Result};
-use cases::{CASES, Case, Folders, Light, WITHOUT_PICTURE, make_case};
+use cases::{CASES, Case, Folders, Light, WITH_SURFELS, WITHOUT_PICTURE, make_case};
 use clap::Parser;
 use engine::{LADDER, Setting, bake_case, gather_all};
 use paths::{RayCurve, Truth};
@@ -85,7 +85,7 @@ struct Arguments {
     /// Where to draw the curves.
     #[arg(long)]
     svg: Option<PathBuf>,
-    /// cornell, cornell3, sponza-overcast, sponza-sunny, sponza1, apartment, bunny, street, street1, foliage, fire30, fire10, scan.
+    /// cornell, cornell3, sponza-overcast, sponza-sunny, sponza1, apartment, bunny, street, street1, foliage, fire, fire30, fire10, scan.
     #[arg(default_values_t = CASES.map(str::to_owned))]
     cases: Vec<String>,
 }
@@ -244,23 +244,38 @@ fn run_all(
     Ok((rows, captions))
 }
 
-/// Shades whole pictures of the cases.
+/// Shades whole pictures of the cases, all surfels of some, and all points of the scan.
 fn run_whole(arguments: &Arguments, width: u32, temporary: &Path) -> Result<Vec<WholeRow>> {
     let mut rows = Vec::new();
     println!("{}", whole::header());
-    for name in arguments.cases.iter().filter(|name| *name != "scan") {
+    let nth = arguments.nth_band.max(1);
+    for name in &arguments.cases {
+        if name == "scan" {
+            let octree = scan::bake(&arguments.data, temporary)?;
+            let of_scan = octree.map(|octree| whole::points(&octree, nth)).transpose()?;
+            rows.extend(printed(of_scan.unwrap_or_default()));
+            continue;
+        }
         let Some(case) = find_case(arguments, name)? else { continue };
         let sky = case.sky.clone().map(SkyImage::new);
         let caster = Caster::new(&case.scene, sky.as_ref());
         let surfels = arguments.surfels;
         let bench = Bench { case: &case, caster: &caster, surfels, folder: temporary };
-        let (octree, nth) = (bench.bake(1.0)?, arguments.nth_band.max(1));
-        let of_case = whole::run(&case, &caster, &octree, width, nth, arguments.noise)
-            .with_context(|| format!("case {name}"))?;
-        of_case.iter().for_each(|row| println!("{row}"));
-        rows.extend(of_case);
+        let octree = bench.bake(1.0)?;
+        let in_case = || format!("case {name}");
+        let picture = whole::picture(&case, &caster, &octree, (width, nth), arguments.noise);
+        rows.extend(printed(picture.with_context(in_case)?));
+        if WITH_SURFELS.contains(&name.as_str()) {
+            let all = whole::surfels(&case, &caster, &octree, nth, arguments.noise);
+            rows.extend(printed(all.with_context(in_case)?));
+        }
     }
     Ok(rows)
+}
+
+fn printed(rows: Vec<WholeRow>) -> Vec<WholeRow> {
+    rows.iter().for_each(|row| println!("{row}"));
+    rows
 }
 
 /// The level of so many directions.

@@ -7,6 +7,7 @@ use pbgi::{
     Progress, ShadeSettings,
 };
 use pbgi_image::{ToneMap, compare};
+use pbgi_store::{Octree, OpenOptions};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
@@ -31,20 +32,8 @@ const GAIN: f32 = 4.0;
 ///
 /// If a step fails.
 pub fn run(data: &Path, temporary: &Path, pictures: Option<&Path>) -> Result<Option<String>> {
-    let input = data.join(FILE);
-    if !input.is_file() {
-        println!("scan: skipped, no data");
-        return Ok(None);
-    }
-    let octree = temporary.join("scan.pbgi");
-    let bake = BakeRequest {
-        inputs: vec![input.display().to_string()],
-        output: octree.clone(),
-        memory_limit: 1 << 30,
-        ..BakeRequest::default()
-    };
-    let (progress, cancel) = (Progress::silent(), AtomicBool::new(false));
-    let baked = pbgi::bake(&bake, &progress, &cancel)?;
+    let Some(opened) = bake(data, temporary)? else { return Ok(None) };
+    let (octree, surfels) = (opened.path().to_owned(), opened.header().surfel_count);
     let plain = ShadeSettings {
         environment: Some(EnvironmentSpec {
             source: LightSource::Uniform([1.0; 3]),
@@ -84,8 +73,31 @@ pub fn run(data: &Path, temporary: &Path, pictures: Option<&Path>) -> Result<Opt
          *Scan with sky visibility, {} points: much finer settings of the engine itself, since a scan has no triangles for rays; default settings; their difference times {GAIN}. {line}.* \
          `cargo xtask truth --pictures out scan`",
         file("scan"),
-        baked.surfels,
+        surfels,
     )))
+}
+
+/// The octree of the points; none, which is told, where there is no such file.
+///
+/// # Errors
+///
+/// If a step fails.
+pub fn bake(data: &Path, temporary: &Path) -> Result<Option<Octree>> {
+    let input = data.join(FILE);
+    if !input.is_file() {
+        println!("scan: skipped, no data");
+        return Ok(None);
+    }
+    let output = temporary.join("scan.pbgi");
+    let bake = BakeRequest {
+        inputs: vec![input.display().to_string()],
+        output: output.clone(),
+        force: true,
+        memory_limit: 1 << 30,
+        ..BakeRequest::default()
+    };
+    pbgi::bake(&bake, &Progress::silent(), &AtomicBool::new(false))?;
+    Ok(Some(Octree::open(&output, &OpenOptions::default())?))
 }
 
 fn shade(octree: &Path, settings: ShadeSettings) -> Result<Frame> {

@@ -1,8 +1,9 @@
-//! A whole picture, as its user pays for it: every receiver, those that gather and those that do not, beside truth for a sample of them.
+//! A whole picture, or all surfels of a file, as its user pays for it: every receiver, those that gather and those that do not, beside truth for a sample of
+//! them.
 
 use crate::cases::{Case, Light, Quantity};
 use crate::curve::Point;
-use crate::engine::{Setting, light_of};
+use crate::engine::{Setting, gather_all, light_of};
 use crate::paths::{RayCurve, Truth, without_noise};
 use crate::report::Times;
 use anyhow::Result;
@@ -10,8 +11,10 @@ use pbgi_benches::Caster;
 use pbgi_file::platform::processor_seconds;
 use pbgi_gather::{GatherSettings, Receiver};
 use pbgi_image::compare;
+use pbgi_math::Vec3;
+use pbgi_scene::{Camera, Scene};
 use pbgi_schedule::{Feed, KeptRecords, ScheduleError, ShadeOptions, shade_stream};
-use pbgi_store::Octree;
+use pbgi_store::{Octree, StoreError, try_for_each_leaf};
 use serde::Serialize;
 use std::borrow::Cow;
 use std::fmt::{self, Write as _};
@@ -19,8 +22,17 @@ use std::fmt::{self, Write as _};
 /// Rows of a band: what pictures are shaded by.
 const ROWS: usize = 64;
 
-/// Receivers whose truth is cast.
+/// How many times fewer of reflections.
+const GLOSSY_PART: usize = 16;
+
+/// Surfels that are shaded at once.
+const CHUNK: usize = 1 << 14;
+
+/// Receivers whose truth is found.
 const SAMPLE: usize = 600;
+
+/// Much finer than the default: solid angle, texels along a face.
+const FINE: (f32, usize) = (0.01, 32);
 
 /// Settings from coarse to fine: solid angle, raster, share that interpolation may be wrong by.
 const LADDER: [(f32, usize, f32); 6] =
@@ -72,92 +84,201 @@ pub fn header() -> String {
     )
 }
 
-/// Shades every band of a picture `width` pixels wide, or every `nth`, by all settings.
+/// What is shaded as one, with the truth of a sample of it.
+struct Job<'a> {
+    scene: String,
+    case: &'a Case,
+    octree: &'a Octree,
+    /// Receivers, by what is shaded at once.
+    groups: Vec<Vec<Receiver>>,
+}
+
+/// What results are compared with.
+struct Reference {
+    light: Vec<Light>,
+    /// rRMSE of each quantity, and the rays' curve.
+    noise: Vec<f64>,
+    rays: Vec<Vec<Point>>,
+}
+
+/// Every how manieth receiver is compared: odd, so that columns of a picture are met alike.
+fn sample_step(receivers: usize) -> usize {
+    (receivers / SAMPLE).max(1) | 1
+}
+
+impl Job<'_> {
+    fn sample(&self) -> Vec<(usize, Receiver)> {
+        let all = self.groups.iter().flatten().copied().enumerate();
+        all.step_by(sample_step(self.count())).collect()
+    }
+
+    fn count(&self) -> usize {
+        self.groups.iter().map(Vec::len).sum()
+    }
+
+    /// Truth by rays, and how long rays take for an error.
+    fn cast(&self, caster: &Caster, noise: f64) -> Result<Reference> {
+        let (case, sample) = (self.case, self.sample());
+        let truth = Truth::cast(case, caster, &sample, noise, 4096)?;
+        let curve = RayCurve::cast(case, caster, &sample, &truth);
+        let of_all = case.quantities().iter();
+        Ok(Reference {
+            noise: of_all.clone().map(|q| truth.noise(*q)).collect::<Result<_>>()?,
+            rays: of_all.map(|q| curve.points(*q, &truth)).collect::<Result<_>>()?,
+            light: truth.light,
+        })
+    }
+
+    /// What much finer settings find, receiver by receiver.
+    fn gather_finely(&self) -> Result<Reference> {
+        let (solid_angle_sr, raster_edge) = FINE;
+        let fine = Setting { solid_angle_sr, raster_edge, ..Setting::default() };
+        let (light, _) = gather_all(self.case, self.octree, &fine, &self.sample())?;
+        Ok(Reference { light, noise: vec![0.0], rays: vec![Vec::new()] })
+    }
+
+    /// Shades all by every setting.
+    fn run(&self, quantities: &[Quantity], reference: &Reference) -> Result<Vec<WholeRow>> {
+        let mut runs = Vec::new();
+        for (solid_angle_sr, raster_edge, tolerance) in LADDER {
+            // As many directions of a reflection as the raster has texels, or nearly.
+            let lobe_level = raster_edge.ilog2() - 1;
+            let setting = Setting { solid_angle_sr, raster_edge, lobe_level, ..Setting::default() };
+            let (found, seconds, gathers) = self.shade(&setting, tolerance)?;
+            let found: Vec<Light> = found.into_iter().step_by(sample_step(self.count())).collect();
+            let label = format!("{solid_angle_sr} sr, raster {raster_edge}, {tolerance}");
+            let of_receivers = 1.0 / self.count().max(1) as f64;
+            let microseconds = 1e6 * seconds * of_receivers;
+            runs.push((label, found, microseconds, gathers as f64 * of_receivers));
+        }
+        let row = |(index, quantity): (usize, &Quantity)| -> Result<WholeRow> {
+            let expected = quantity.values(&reference.light);
+            let mut engine = Vec::new();
+            for (setting, found, microseconds, _) in &runs {
+                let rrmse = compare(&quantity.values(found), &expected)?.rrmse;
+                let error = without_noise(rrmse, reference.noise[index]);
+                engine.push(Point { setting: setting.clone(), microseconds: *microseconds, error });
+            }
+            Ok(WholeRow {
+                scene: self.scene.clone(),
+                quantity: quantity.name(),
+                receivers: self.count(),
+                gathers: runs.iter().map(|run| run.3).collect(),
+                engine,
+                rays: reference.rays[index].clone(),
+            })
+        };
+        quantities.iter().enumerate().map(row).collect()
+    }
+}
+
+/// Shades a picture `width` pixels wide, or every `nth` band of it.
 ///
 /// # Errors
 ///
 /// If the octree cannot be read, or values are not finite.
-pub fn run(
+pub fn picture(
     case: &Case,
     caster: &Caster,
     octree: &Octree,
-    width: u32,
-    nth: usize,
+    (width, nth): (u32, usize),
     noise: f64,
 ) -> Result<Vec<WholeRow>> {
     let view = case.view(width);
-    let rows = |pixel: usize| pixel / view.width as usize;
-    let is_of_picture = |pixel: usize| (rows(pixel) / ROWS).is_multiple_of(nth);
+    // Reflections are not interpolated: fewer rows tell what they cost at this density.
+    let rows = if case.gloss.is_some() { ROWS / GLOSSY_PART } else { ROWS };
+    let nth = if case.gloss.is_some() { nth * GLOSSY_PART } else { nth };
+    let band = |pixel: usize| pixel / view.width as usize / rows;
     let mut places = case.receivers(caster, &view);
-    places.retain(|(pixel, _)| is_of_picture(*pixel));
-    let bands: Vec<&[(usize, Receiver)]> =
-        places.chunk_by(|a, b| rows(a.0) / ROWS == rows(b.0) / ROWS).collect();
-    // Odd, so that columns of the picture are met alike.
-    let step = (places.len() / SAMPLE).max(1) | 1;
-    let sample: Vec<(usize, Receiver)> = places.iter().step_by(step).copied().collect();
-    let truth = Truth::cast(case, caster, &sample, noise, 4096)?;
-    let rays = RayCurve::cast(case, caster, &sample, &truth);
-    let mut runs = Vec::new();
-    for (solid_angle_sr, raster_edge, tolerance) in LADDER {
-        let setting = Setting { solid_angle_sr, raster_edge, ..Setting::default() };
-        let (found, seconds, gathers) = shade(case, octree, &setting, tolerance, &bands)?;
-        let found: Vec<Light> = found.into_iter().step_by(step).collect();
-        let label = format!("{solid_angle_sr} sr, raster {raster_edge}, {tolerance}");
-        let of_receivers = 1.0 / places.len().max(1) as f64;
-        runs.push((label, found, 1e6 * seconds * of_receivers, gathers as f64 * of_receivers));
-    }
-    let row = |quantity: Quantity| -> Result<WholeRow> {
-        let (expected, noise) = (quantity.values(&truth.light), truth.noise(quantity)?);
-        let mut engine = Vec::new();
-        for (setting, found, microseconds, _) in &runs {
-            let error = without_noise(compare(&quantity.values(found), &expected)?.rrmse, noise);
-            engine.push(Point { setting: setting.clone(), microseconds: *microseconds, error });
-        }
-        Ok(WholeRow {
-            scene: case.name.clone(),
-            quantity: quantity.name(),
-            receivers: places.len(),
-            gathers: runs.iter().map(|run| run.3).collect(),
-            engine,
-            rays: rays.points(quantity, &truth)?,
-        })
-    };
-    case.quantities().iter().map(|quantity| row(*quantity)).collect()
+    places.retain(|(pixel, _)| band(*pixel).is_multiple_of(nth));
+    let bands = places.chunk_by(|a, b| band(a.0) == band(b.0));
+    let groups = bands.map(|band| band.iter().map(|place| place.1).collect()).collect();
+    let job = Job { scene: case.name.clone(), case, octree, groups };
+    job.run(case.quantities(), &job.cast(caster, noise)?)
 }
 
-/// Results of all receivers, processor seconds, and how many gathered.
-fn shade(
+/// Shades all surfels of a scene's octree, or every `nth` chunk of them.
+///
+/// # Errors
+///
+/// As of [`picture`].
+pub fn surfels(
     case: &Case,
+    caster: &Caster,
     octree: &Octree,
-    setting: &Setting,
-    tolerance: f32,
-    bands: &[&[(usize, Receiver)]],
-) -> Result<(Vec<Light>, f64, u64)> {
-    // Reflections are never interpolated.
-    let tolerance = if case.gloss.is_some() { 0.0 } else { tolerance };
-    let gather = GatherSettings { tolerance, ..setting.gather(case) };
-    let options = ShadeOptions { gather, threads: 1, ..ShadeOptions::default() };
-    let light = setting.light(case)?;
-    let mut found = Vec::new();
-    let before = processor_seconds().unwrap_or_default();
-    let report = shade_stream(
-        octree,
-        light.as_ref(),
-        &options,
-        &mut KeptRecords::default(),
-        |feed: &mut Feed<'_, '_, (), ScheduleError>| {
-            bands.iter().try_for_each(|band| {
-                let receivers = band.iter().map(|place| place.1).collect();
-                feed.push(Cow::Owned(receivers), ())
-            })
-        },
-        |chunk| {
-            found.extend(chunk.shadings.iter().map(light_of));
-            Ok(())
-        },
-    )?;
-    let seconds = processor_seconds().unwrap_or_default() - before;
-    Ok((found, seconds, report.cut_sizes.count))
+    nth: usize,
+    noise: f64,
+) -> Result<Vec<WholeRow>> {
+    let scene = format!("{} surfels", case.name);
+    let job = Job { scene, case, octree, groups: surfels_of(octree, nth)? };
+    job.run(case.quantities(), &job.cast(caster, noise)?)
+}
+
+/// Shades all points of a scan, or every `nth` chunk of them; truth is what much finer settings find, as a scan has no triangles for rays.
+///
+/// # Errors
+///
+/// As of [`picture`].
+pub fn points(octree: &Octree, nth: usize) -> Result<Vec<WholeRow>> {
+    let camera = Camera::look_at(Vec3::Z, Vec3::ZERO, Vec3::Y, 1.0);
+    let case = Case::new("scan points", "", Scene::default(), camera);
+    let job =
+        Job { scene: case.name.clone(), case: &case, octree, groups: surfels_of(octree, nth)? };
+    job.run(&[Quantity::Occlusion], &job.gather_finely()?)
+}
+
+/// Surfels of every `nth` chunk, in the order of the file, as they are shaded.
+fn surfels_of(octree: &Octree, nth: usize) -> Result<Vec<Vec<Receiver>>> {
+    let mut groups = Vec::new();
+    let (mut chunk, mut number) = (Vec::with_capacity(CHUNK), 0);
+    let up = if octree.header().flags.z_up { Vec3::Z } else { Vec3::Y };
+    try_for_each_leaf(&mut octree.reader(), |_, surfels| {
+        for surfel in surfels {
+            let normal = if surfel.isotropic { up } else { surfel.normal };
+            chunk.push(Receiver::diffuse(surfel.center, normal));
+            if chunk.len() == CHUNK {
+                if number % nth == 0 {
+                    groups.push(std::mem::take(&mut chunk));
+                }
+                chunk.clear();
+                number += 1;
+            }
+        }
+        Ok::<(), StoreError>(())
+    })?;
+    if number % nth == 0 && !chunk.is_empty() {
+        groups.push(chunk);
+    }
+    Ok(groups)
+}
+
+impl Job<'_> {
+    /// Results of all receivers, processor seconds, and how many gathered.
+    fn shade(&self, setting: &Setting, tolerance: f32) -> Result<(Vec<Light>, f64, u64)> {
+        let case = self.case;
+        // Reflections are never interpolated.
+        let tolerance = if case.gloss.is_some() { 0.0 } else { tolerance };
+        let gather = GatherSettings { tolerance, ..setting.gather(case) };
+        let options = ShadeOptions { gather, threads: 1, ..ShadeOptions::default() };
+        let light = setting.light(case)?;
+        let mut found = Vec::new();
+        let before = processor_seconds().unwrap_or_default();
+        let report = shade_stream(
+            self.octree,
+            light.as_ref(),
+            &options,
+            &mut KeptRecords::default(),
+            |feed: &mut Feed<'_, '_, (), ScheduleError>| {
+                self.groups.iter().try_for_each(|group| feed.push(Cow::Borrowed(group), ()))
+            },
+            |chunk| {
+                found.extend(chunk.shadings.iter().map(light_of));
+                Ok(())
+            },
+        )?;
+        let seconds = processor_seconds().unwrap_or_default() - before;
+        Ok((found, seconds, report.cut_sizes.count))
+    }
 }
 
 /// Time at [`ERROR`] of every picture, in Markdown.
