@@ -2,7 +2,7 @@
 
 use pbgi_cut::{Cluster, Piece, RECTANGLE_RIM, SurfelSeen, SurfelShape, TRIANGLE_RIM};
 use pbgi_math::{Vec3, patch_solid_angle_factor};
-use pbgi_raster::{Disk, Ink, Place, Section, Shape, Tile, Triangle, Veil};
+use pbgi_raster::{Disk, Ink, Lanes, Place, Section, Shape, Tile, Triangle, Veil, WideKernel};
 use std::f32::consts::FRAC_1_PI;
 
 /// How much nearer or farther than a disk its neighbors may be, in radii of its rim: those of one surface seen at a grazing angle are two apart, and with
@@ -63,9 +63,25 @@ pub(crate) struct Outline {
     depth: f32,
 }
 
+/// A surfel to draw, for a receiver on a surface of this `plane`.
+pub(crate) struct DrawSurfel<'a, 's, P> {
+    pub seen: &'a SurfelSeen<'s>,
+    pub plane: Vec3,
+    pub pen: &'a mut P,
+}
+
+impl<P: SurfelPen> WideKernel for DrawSurfel<'_, '_, P> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        draw_surfel(self.seen, self.plane, self.pen);
+    }
+}
+
 /// Draws a surfel as what it stands for, or else as a disk, if it covers anything.
 #[inline(always)]
-pub(crate) fn draw_surfel<P: SurfelPen>(seen: &SurfelSeen<'_>, plane: Vec3, pen: &mut P) {
+fn draw_surfel<P: SurfelPen>(seen: &SurfelSeen<'_>, plane: Vec3, pen: &mut P) {
     if !blocks(seen) {
         return;
     }

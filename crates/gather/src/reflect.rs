@@ -2,7 +2,7 @@
 
 use crate::importance::nearest_to;
 use crate::light::PreparedLight;
-use crate::primitive::{Outline, SurfelPen, draw_surfel, piece_ink, piece_shape, surfel_ink};
+use crate::primitive::{DrawSurfel, Outline, SurfelPen, piece_ink, piece_shape, surfel_ink};
 use pbgi_brdf::{GgxLobe, LobeDirections, LobePattern};
 use pbgi_cut::{Cluster, CutVisitor, Kept, SurfelSeen};
 use pbgi_math::Vec3;
@@ -195,7 +195,7 @@ impl<L: Lanes> CutVisitor for LobeVisitor<'_, L> {
 
     #[inline(always)]
     fn take_surfel(&mut self, seen: &SurfelSeen<'_>) {
-        draw_surfel(seen, self.plane, self);
+        L::run_part(DrawSurfel { seen, plane: self.plane, pen: self });
     }
 
     #[inline(always)]

@@ -1,7 +1,7 @@
 //! The cut, drawn into the cube.
 
 use crate::lamps::{Lamps, is_lamp};
-use crate::primitive::{Outline, SurfelPen, draw_surfel, piece_ink, piece_shape, surfel_ink};
+use crate::primitive::{DrawSurfel, Outline, SurfelPen, piece_ink, piece_shape, surfel_ink};
 use pbgi_cut::{Boxes, Cluster, CutVisitor, Kept, NOTHING_KEPT, SurfelSeen};
 use pbgi_format::CHILDREN_MAX;
 use pbgi_math::Vec3;
@@ -53,7 +53,7 @@ impl<L: Lanes> CutVisitor for CubeVisitor<'_, L> {
 
     #[inline(always)]
     fn take_surfel(&mut self, seen: &SurfelSeen<'_>) {
-        draw_surfel(seen, self.plane, self);
+        L::run_part(DrawSurfel { seen, plane: self.plane, pen: self });
     }
 
     #[inline(always)]

@@ -3,7 +3,7 @@
 use crate::integrator::{Gatherer, Walker};
 use crate::lamps::{Lamp, is_lamp, may_hold_lamps};
 use crate::light::PreparedPeak;
-use crate::primitive::{Outline, SurfelPen, draw_surfel, piece_ink, piece_shape, surfel_ink};
+use crate::primitive::{DrawSurfel, Outline, SurfelPen, piece_ink, piece_shape, surfel_ink};
 use crate::receiver::{Receiver, Shading};
 use pbgi_brdf::GgxLobe;
 use pbgi_cut::{
@@ -291,7 +291,7 @@ impl<L: Lanes> CutVisitor for WindowVisitor<'_, L> {
 
     #[inline(always)]
     fn take_surfel(&mut self, seen: &SurfelSeen<'_>) {
-        draw_surfel(seen, self.plane, self);
+        L::run_part(DrawSurfel { seen, plane: self.plane, pen: self });
     }
 
     #[inline(always)]

@@ -5,6 +5,7 @@ use crate::lamp::{LAMPS, LampSeen};
 use crate::lanes::{Lanes, SAMPLES};
 use crate::samples::{Veil, divisor, offset_sum, place, sample_near};
 use crate::shape::{Rims, Shape};
+use crate::simd::WideKernel;
 use crate::table::{CubeRasterTable, LANES};
 use crate::texel_bits::{RowsOfWords, TexelBits, TexelRange, WordOfTexels};
 use crate::texel_light::TexelLight;
@@ -457,7 +458,7 @@ impl CubeRaster {
     #[inline(always)]
     pub fn draw<L: Lanes, S: Shape>(&mut self, shape: &S, ink: &Ink, toward: Vec3) {
         let hits_start = self.hits.len();
-        let met = self.cover::<L, S>(shape, ink);
+        let met = L::run_part(Cover { raster: self, shape, ink });
         if !self.shines || ink.is_back {
             return;
         }
@@ -863,6 +864,22 @@ impl CubeRaster {
     #[inline(always)]
     pub fn shines(&self) -> bool {
         self.shines
+    }
+}
+
+/// A shape to cover samples with.
+struct Cover<'a, S> {
+    raster: &'a mut CubeRaster,
+    shape: &'a S,
+    ink: &'a Ink,
+}
+
+impl<S: Shape> WideKernel for Cover<'_, S> {
+    type Output = u32;
+
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> u32 {
+        self.raster.cover::<L, S>(self.shape, self.ink)
     }
 }
 

@@ -1,5 +1,7 @@
 //! Sixteen numbers at a time: the samples of a texel.
 
+use crate::simd::WideKernel;
+
 /// Samples of a texel, and numbers in a [`Lanes`].
 pub const SAMPLES: usize = 16;
 
@@ -37,13 +39,18 @@ pub trait Lanes: Copy + sealed::Sealed {
     fn largest_where(self, bits: u16) -> f32;
     /// Writes the lanes whose bits are set.
     fn store_where(self, bits: u16, to: &mut [f32; SAMPLES]);
+    /// Runs a part of a kernel.
+    #[inline(always)]
+    fn run_part<K: WideKernel>(part: K) -> K::Output {
+        part.run::<Self>()
+    }
 }
 
 pub(crate) mod sealed {
     pub trait Sealed {}
 }
 
-/// Plain numbers: every processor, and the oracle of the others.
+/// Plain numbers: processors without other lanes, and the oracle of these.
 #[derive(Clone, Copy, Debug)]
 pub struct Plain([f32; SAMPLES]);
 
@@ -151,8 +158,131 @@ impl Lanes for Plain {
     reason = "one condition for all, stated above"
 )]
 pub(crate) mod x86 {
-    use super::{Lanes, SAMPLES, sealed::Sealed};
+    use super::{Lanes, Plain, SAMPLES, sealed::Sealed};
+    use crate::simd::WideKernel;
     use std::arch::x86_64::*;
+    use std::array::from_fn;
+
+    /// Four SSE2 registers, which every x86-64 has. Kernels take half of the time to compile that they take for [`Plain`].
+    #[derive(Clone, Copy, Debug)]
+    pub struct Sse2([__m128; 4]);
+
+    impl Sealed for Sse2 {}
+
+    impl Sse2 {
+        #[inline(always)]
+        fn zip(self, o: Self, f: impl Fn(__m128, __m128) -> __m128) -> Self {
+            Self([
+                f(self.0[0], o.0[0]),
+                f(self.0[1], o.0[1]),
+                f(self.0[2], o.0[2]),
+                f(self.0[3], o.0[3]),
+            ])
+        }
+
+        #[inline(always)]
+        fn plain(self) -> Plain {
+            let mut lanes = [0.0; SAMPLES];
+            self.store_where(u16::MAX, &mut lanes);
+            Plain(lanes)
+        }
+    }
+
+    /// One function for all kernels: without shifts by lane and whole parts, this takes a loop.
+    #[inline(never)]
+    fn in_cells(column: Plain, row: Plain, sign: Plain, cells: u64) -> u16 {
+        column.in_cells(row, sign, cells)
+    }
+
+    impl Lanes for Sse2 {
+        type Mask = [__m128; 4];
+
+        /// A function of its own: parts of kernels compile faster apart, and one kernel has no others' copies.
+        #[inline(never)]
+        fn run_part<K: WideKernel>(part: K) -> K::Output {
+            part.run::<Self>()
+        }
+
+        #[inline(always)]
+        fn splat(x: f32) -> Self {
+            Self([unsafe { _mm_set1_ps(x) }; 4])
+        }
+        #[inline(always)]
+        fn load(from: &[f32; SAMPLES]) -> Self {
+            // SAFETY: four floats from 0, 4, 8 and 12 are inside the array.
+            let four = |at: usize| unsafe { _mm_loadu_ps(from[at..at + 4].as_ptr()) };
+            Self([four(0), four(4), four(8), four(12)])
+        }
+        #[inline(always)]
+        fn add(self, o: Self) -> Self {
+            self.zip(o, |a, b| unsafe { _mm_add_ps(a, b) })
+        }
+        #[inline(always)]
+        fn sub(self, o: Self) -> Self {
+            self.zip(o, |a, b| unsafe { _mm_sub_ps(a, b) })
+        }
+        #[inline(always)]
+        fn mul(self, o: Self) -> Self {
+            self.zip(o, |a, b| unsafe { _mm_mul_ps(a, b) })
+        }
+        #[inline(always)]
+        fn abs(self) -> Self {
+            Self::splat(-0.0).zip(self, |sign, a| unsafe { _mm_andnot_ps(sign, a) })
+        }
+        #[inline(always)]
+        fn le(self, o: Self) -> Self::Mask {
+            self.zip(o, |a, b| unsafe { _mm_cmple_ps(a, b) }).0
+        }
+        #[inline(always)]
+        fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask {
+            Self(a).zip(Self(b), |a, b| unsafe { _mm_and_ps(a, b) }).0
+        }
+        #[inline(always)]
+        fn bits(mask: Self::Mask) -> u16 {
+            let [a, b, c, d] = mask.map(|mask| unsafe { _mm_movemask_ps(mask) });
+            (a | b << 4 | c << 8 | d << 12) as u16
+        }
+        #[inline(always)]
+        fn div(self, o: Self) -> Self {
+            self.zip(o, |a, b| unsafe { _mm_div_ps(a, b) })
+        }
+        #[inline(always)]
+        fn in_cells(self, row: Self, sign: Self, cells: u64) -> u16 {
+            in_cells(self.plain(), row.plain(), sign.plain(), cells)
+        }
+        #[inline(always)]
+        fn largest_where(self, bits: u16) -> f32 {
+            let Self([a, b, c, d]) =
+                Self(spread_fours(bits)).zip(self, |mask, a| unsafe { _mm_and_ps(mask, a) });
+            unsafe {
+                let four = _mm_max_ps(_mm_max_ps(a, b), _mm_max_ps(c, d));
+                let two = _mm_max_ps(four, _mm_movehl_ps(four, four));
+                _mm_cvtss_f32(_mm_max_ss(two, _mm_shuffle_ps::<1>(two, two)))
+            }
+        }
+        #[inline(always)]
+        fn store_where(self, bits: u16, to: &mut [f32; SAMPLES]) {
+            let (masks, old) = (spread_fours(bits), Self::load(to));
+            for i in 0..4 {
+                // SAFETY: as in `load`.
+                unsafe {
+                    let kept = _mm_andnot_ps(masks[i], old.0[i]);
+                    let new = _mm_or_ps(_mm_and_ps(masks[i], self.0[i]), kept);
+                    _mm_storeu_ps(to[4 * i..4 * i + 4].as_mut_ptr(), new);
+                }
+            }
+        }
+    }
+
+    /// Four lanes each, all bits of those whose bit is set.
+    #[inline(always)]
+    fn spread_fours(bits: u16) -> [__m128; 4] {
+        from_fn(|i| unsafe {
+            let bit = _mm_setr_epi32(1, 2, 4, 8);
+            let all = _mm_set1_epi32(i32::from(bits >> (4 * i)));
+            _mm_castsi128_ps(_mm_cmpeq_epi32(_mm_and_si128(all, bit), bit))
+        })
+    }
 
     /// Two AVX2 registers.
     #[derive(Clone, Copy, Debug)]

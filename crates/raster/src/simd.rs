@@ -1,6 +1,10 @@
 //! Running a kernel with the widest instructions the processor has.
 
-use crate::lanes::{Lanes, Plain};
+use crate::lanes::Lanes;
+#[cfg(not(target_arch = "x86_64"))]
+use crate::lanes::Plain as Baseline;
+#[cfg(target_arch = "x86_64")]
+use crate::lanes::x86::Sse2 as Baseline;
 
 /// Instruction sets a kernel can be compiled for. The results are the same bits at every level: no level reorders a sum
 /// or fuses a multiplication with an addition.
@@ -56,7 +60,7 @@ pub trait WideKernel {
 #[inline]
 pub fn run_wide<K: WideKernel>(level: SimdLevel, kernel: K) -> K::Output {
     match level {
-        SimdLevel::Baseline => kernel.run::<Plain>(),
+        SimdLevel::Baseline => compiled_baseline(kernel),
         #[cfg(target_arch = "x86_64")]
         SimdLevel::Avx2 => x86::run_avx2(kernel),
         #[cfg(target_arch = "x86_64")]
@@ -64,6 +68,12 @@ pub fn run_wide<K: WideKernel>(level: SimdLevel, kernel: K) -> K::Output {
         #[cfg(not(target_arch = "x86_64"))]
         SimdLevel::Avx2 | SimdLevel::Avx512 => panic!("this processor has no {level:?}"),
     }
+}
+
+/// One copy of a kernel, wherever it is run.
+#[inline(never)]
+fn compiled_baseline<K: WideKernel>(kernel: K) -> K::Output {
+    kernel.run::<Baseline>()
 }
 
 #[cfg(target_arch = "x86_64")]
