@@ -31,6 +31,9 @@ const CHUNK: usize = 1 << 14;
 /// Receivers whose truth is found.
 const SAMPLE: usize = 600;
 
+/// Most paths of the truth: fires want many.
+const PATHS: u32 = 1 << 16;
+
 /// Much finer than the default: solid angle, texels along a face.
 const FINE: (f32, usize) = (0.01, 32);
 
@@ -119,7 +122,7 @@ impl Job<'_> {
     /// Truth by rays, and how long rays take for an error.
     fn cast(&self, caster: &Caster, noise: f64) -> Result<Reference> {
         let (case, sample) = (self.case, self.sample());
-        let truth = Truth::cast(case, caster, &sample, noise, 4096)?;
+        let truth = Truth::cast(case, caster, &sample, noise, PATHS)?;
         let curve = RayCurve::cast(case, caster, &sample, &truth);
         let of_all = case.quantities().iter();
         Ok(Reference {
