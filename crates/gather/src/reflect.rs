@@ -4,7 +4,7 @@ use crate::importance::nearest_to;
 use crate::light::PreparedLight;
 use crate::primitive::{DrawSurfel, Outline, SurfelPen, piece_ink, piece_shape, surfel_ink};
 use pbgi_brdf::{GgxLobe, LobeDirections, LobePattern};
-use pbgi_cut::{Cluster, CutVisitor, Kept, SurfelSeen};
+use pbgi_cut::{Cluster, CutVisitor, Kept, Piece, SurfelSeen};
 use pbgi_math::Vec3;
 use pbgi_raster::{Ink, Lanes, LobeInk, LobeRaster, SAMPLES, Shape};
 use std::f32::consts::PI;
@@ -104,15 +104,19 @@ pub(crate) struct LobeVisitor<'a, L> {
     pub lanes: PhantomData<L>,
 }
 
-/// Where a piece lies and what it is.
+/// Where a node or a surfel lies, and what of the lobe it has: the same for all pieces of a node.
 #[derive(Clone, Copy)]
 struct Place {
-    /// From the receiver to its middle.
-    toward: Vec3,
+    /// Unit vector from the receiver to its middle.
+    from: Vec3,
     /// Radius over distance.
     spread: f32,
-    /// Whether it faces the receiver wherever that is, and lies anywhere in its bounds.
-    is_round: bool,
+    /// Solid angle of a direction where it comes nearest to the mirror direction; 0 where nothing asks for it, as for all that follows.
+    share: f32,
+    /// What is reflected of light from its middle.
+    reflect: [f32; 3],
+    /// The direction that stands for the one to its middle, if that was asked for.
+    direction: Option<Option<usize>>,
 }
 
 /// How a piece is drawn.
@@ -120,48 +124,60 @@ struct Place {
 struct Drawn {
     ink: LobeInk,
     solid_angle: f32,
-    from: Vec3,
     is_particle: bool,
 }
 
 impl<L: Lanes> LobeVisitor<'_, L> {
-    /// How a piece shines: by its solid angle where it is smaller than some directions' share of the lobe even where it comes nearest to the
-    /// mirror direction.
+    /// The place of what is in this direction; `shines` where its share of the lobe matters: for what is dark, it does not.
     #[inline(always)]
-    fn ink(&self, ink: &Ink, place: &Place) -> Drawn {
+    fn place(&self, toward: Vec3, spread: f32, shines: bool) -> Place {
+        let from = toward * (1.0 / toward.length());
+        let mut place = Place { from, spread, share: 0.0, reflect: [0.0; 3], direction: None };
+        if shines {
+            let nearest = nearest_to(self.axis, from, spread);
+            place.share = self.lobe.share_solid_angle(nearest, self.count);
+            place.reflect = self.lobe.reflect(from);
+        }
+        place
+    }
+
+    /// How a piece shines: by its solid angle where it is smaller than some directions' share of the lobe even where it comes nearest to the
+    /// mirror direction. A round one faces the receiver wherever that is, and lies anywhere in its bounds.
+    #[inline(always)]
+    fn ink(ink: &Ink, place: &Place, is_round: bool) -> Drawn {
         let Ink { veil, tolerance, radiance, solid_angle, .. } = *ink;
-        let from = place.toward * (1.0 / place.toward.length());
         let ink = LobeInk { veil, tolerance, radiance, reflected: [0.0; 3] };
-        let mut drawn = Drawn { ink, solid_angle, from, is_particle: false };
-        if radiance == [0.0; 3] && !place.is_round {
+        let mut drawn = Drawn { ink, solid_angle, is_particle: false };
+        if radiance == [0.0; 3] && !is_round {
             return drawn;
         }
-        let nearest = nearest_to(self.axis, from, place.spread);
-        let share = self.lobe.share_solid_angle(nearest, self.count);
-        drawn.is_particle =
-            place.is_round && PI * place.spread * place.spread < PARTICLE_DIRECTIONS * share;
+        let &Place { spread, share, ref reflect, .. } = place;
+        drawn.is_particle = is_round && PI * spread * spread < PARTICLE_DIRECTIONS * share;
         if solid_angle <= COUNTED_DIRECTIONS * share || drawn.is_particle {
-            let reflect = self.lobe.reflect(from);
             drawn.ink.reflected = std::array::from_fn(|c| radiance[c] * reflect[c] * solid_angle);
             drawn.ink.radiance = [0.0; 3];
         }
         drawn
     }
 
-    /// The direction that stands for the one from where a piece is; none where that is below the horizon.
+    /// The direction that stands for the one to a place; none where that is below the horizon.
     #[inline(always)]
-    fn direction(&self, drawn: &Drawn) -> Option<usize> {
-        if drawn.from.dot(self.normal) <= 0.0 {
-            return None;
+    fn direction(&self, place: &mut Place) -> Option<usize> {
+        if let Some(known) = place.direction {
+            return known;
         }
-        self.pattern.direction_at(self.lobe.place(drawn.from), self.above)
+        let is_above = place.from.dot(self.normal) > 0.0;
+        let found = || self.pattern.direction_at(self.lobe.place(place.from), self.above);
+        let direction = if is_above { found() } else { None };
+        place.direction = Some(direction);
+        direction
     }
 
     #[inline(always)]
-    fn draw_shape<S: Shape>(&mut self, shape: &S, drawn: &Drawn) {
+    fn draw_shape<S: Shape>(&mut self, shape: &S, drawn: &Drawn, place: &mut Place) {
         let Drawn { ink, solid_angle, .. } = drawn;
         if drawn.is_particle {
-            if let Some(direction) = self.direction(drawn) {
+            if let Some(direction) = self.direction(place) {
                 self.raster.scatter(ink, *solid_angle, shape.inverse(), direction);
             }
             return;
@@ -170,7 +186,7 @@ impl<L: Lanes> LobeVisitor<'_, L> {
         if is_met || ink.reflected == [0.0; 3] {
             return;
         }
-        if let Some(direction) = self.direction(drawn) {
+        if let Some(direction) = self.direction(place) {
             self.raster.shine(ink, shape.inverse(), direction);
         }
     }
@@ -184,12 +200,14 @@ impl<L: Lanes> CutVisitor for LobeVisitor<'_, L> {
 
     #[inline(always)]
     fn take_cluster(&mut self, cluster: &Cluster) {
+        let toward = (cluster.low + cluster.high) * 0.5;
+        let shines = |piece: &Piece| piece.radiance != [0.0; 3] || piece.is_round;
+        let shines = cluster.pieces().iter().any(shines);
+        let mut place = self.place(toward, cluster.spread, shines);
         for piece in cluster.pieces() {
             let (section, veil) = piece_shape(cluster, piece);
-            let toward = (cluster.low + cluster.high) * 0.5;
-            let place = Place { toward, spread: cluster.spread, is_round: piece.is_round };
-            let drawn = self.ink(&piece_ink(cluster, piece, veil), &place);
-            self.draw_shape(&section, &drawn);
+            let drawn = Self::ink(&piece_ink(cluster, piece, veil), &place, piece.is_round);
+            self.draw_shape(&section, &drawn, &mut place);
         }
     }
 
@@ -207,13 +225,14 @@ impl<L: Lanes> CutVisitor for LobeVisitor<'_, L> {
 impl<L: Lanes> SurfelPen for LobeVisitor<'_, L> {
     #[inline(always)]
     fn draw<S: Shape>(&mut self, seen: &SurfelSeen<'_>, shape: &S, outline: &Outline) {
-        let toward = seen.center;
+        let (ink, is_round) = (surfel_ink(seen, outline), seen.surfel.isotropic);
         let spread = seen.surfel.radius / seen.distance2.sqrt();
-        let place = Place { toward, spread, is_round: seen.surfel.isotropic };
-        let drawn = self.ink(&surfel_ink(seen, outline), &place);
+        let shines = ink.radiance != [0.0; 3] || is_round;
+        let mut place = self.place(seen.center, spread, shines);
+        let drawn = Self::ink(&ink, &place, is_round);
         let [low, high] = seen.bounds();
         if drawn.is_particle || self.raster.is_open::<L>(low, high) {
-            self.draw_shape(shape, &drawn);
+            self.draw_shape(shape, &drawn, &mut place);
         }
     }
 }
