@@ -19,7 +19,7 @@ use cases::{CASES, Case, Folders, Light, WITH_SURFELS, WITHOUT_PICTURE, make_cas
 use clap::Parser;
 use engine::{LADDER, Setting, bake_case, gather_all};
 use paths::{RayCurve, Truth};
-use pbgi_benches::{Caster, SkyImage};
+use pbgi_benches::{Caster, SkyImage, dice};
 use pbgi_gather::{Receiver, lobe_level};
 use pbgi_store::Octree;
 use record::Records;
@@ -266,7 +266,8 @@ fn run_whole(arguments: &Arguments, width: u32, temporary: &Path) -> Result<Vec<
         let picture = whole::picture(&case, &caster, &octree, (width, nth), arguments.noise);
         rows.extend(printed(picture.with_context(in_case)?));
         if WITH_SURFELS.contains(&name.as_str()) {
-            let all = whole::surfels(&case, &caster, &octree, nth, arguments.noise);
+            let all = (dice(&case.scene, case.surfels(surfels))?, nth);
+            let all = whole::surfels(&case, &caster, &octree, all, arguments.noise);
             rows.extend(printed(all.with_context(in_case)?));
         }
     }

@@ -8,7 +8,9 @@ use crate::paths::{RayCurve, Truth, without_noise};
 use crate::report::Times;
 use anyhow::Result;
 use pbgi_benches::Caster;
+use pbgi_cloud::Surfel;
 use pbgi_file::platform::processor_seconds;
+use pbgi_format::LeafSurfel;
 use pbgi_gather::{GatherSettings, Receiver};
 use pbgi_image::compare;
 use pbgi_math::Vec3;
@@ -22,8 +24,11 @@ use std::fmt::{self, Write as _};
 /// Rows of a band: what pictures are shaded by.
 const ROWS: usize = 64;
 
-/// How many times fewer of reflections.
-const GLOSSY_PART: usize = 16;
+/// How many times fewer of reflections, none of which is interpolated.
+const GLOSSY_PART: usize = 32;
+
+/// How many times fewer chunks of surfels than bands of pictures: there are seven times as many.
+const SURFELS_PART: usize = 4;
 
 /// Surfels that are shaded at once.
 const CHUNK: usize = 1 << 14;
@@ -200,7 +205,8 @@ pub fn picture(
     job.run(case.quantities(), &job.cast(caster, noise)?)
 }
 
-/// Shades all surfels of a scene's octree, or every `nth` chunk of them.
+/// Shades a scene's `surfels`, or every `nth` chunk of them, in the order in which its octree has them, but where they are: where a file's rounding has moved
+/// them, some lie below what rays meet.
 ///
 /// # Errors
 ///
@@ -209,11 +215,14 @@ pub fn surfels(
     case: &Case,
     caster: &Caster,
     octree: &Octree,
-    nth: usize,
+    (mut surfels, nth): (Vec<Surfel>, usize),
     noise: f64,
 ) -> Result<Vec<WholeRow>> {
+    let root = octree.header().root;
+    surfels.sort_by_cached_key(|surfel| root.code(surfel.center()));
+    let receivers = surfels.iter().map(|s| Receiver::diffuse(s.center(), s.normal()));
     let scene = format!("{} surfels", case.name);
-    let job = Job { scene, case, octree, groups: surfels_of(octree, nth)? };
+    let job = Job { scene, case, octree, groups: chunks(receivers, nth) };
     job.run(case.quantities(), &job.cast(caster, noise)?)
 }
 
@@ -225,34 +234,22 @@ pub fn surfels(
 pub fn points(octree: &Octree, nth: usize) -> Result<Vec<WholeRow>> {
     let camera = Camera::look_at(Vec3::Z, Vec3::ZERO, Vec3::Y, 1.0);
     let case = Case::new("scan points", "", Scene::default(), camera);
-    let job =
-        Job { scene: case.name.clone(), case: &case, octree, groups: surfels_of(octree, nth)? };
+    let up = if octree.header().flags.z_up { Vec3::Z } else { Vec3::Y };
+    let mut receivers = Vec::new();
+    try_for_each_leaf(&mut octree.reader(), |_, surfels| {
+        let normal = |surfel: &LeafSurfel| if surfel.isotropic { up } else { surfel.normal };
+        receivers.extend(surfels.iter().map(|s| Receiver::diffuse(s.center, normal(s))));
+        Ok::<(), StoreError>(())
+    })?;
+    let groups = chunks(receivers.into_iter(), nth);
+    let job = Job { scene: case.name.clone(), case: &case, octree, groups };
     job.run(&[Quantity::Occlusion], &job.gather_finely()?)
 }
 
-/// Surfels of every `nth` chunk, in the order of the file, as they are shaded.
-fn surfels_of(octree: &Octree, nth: usize) -> Result<Vec<Vec<Receiver>>> {
-    let mut groups = Vec::new();
-    let (mut chunk, mut number) = (Vec::with_capacity(CHUNK), 0);
-    let up = if octree.header().flags.z_up { Vec3::Z } else { Vec3::Y };
-    try_for_each_leaf(&mut octree.reader(), |_, surfels| {
-        for surfel in surfels {
-            let normal = if surfel.isotropic { up } else { surfel.normal };
-            chunk.push(Receiver::diffuse(surfel.center, normal));
-            if chunk.len() == CHUNK {
-                if number % nth == 0 {
-                    groups.push(std::mem::take(&mut chunk));
-                }
-                chunk.clear();
-                number += 1;
-            }
-        }
-        Ok::<(), StoreError>(())
-    })?;
-    if number % nth == 0 && !chunk.is_empty() {
-        groups.push(chunk);
-    }
-    Ok(groups)
+/// Every so manieth chunk of receivers, as they are shaded.
+fn chunks(receivers: impl Iterator<Item = Receiver>, nth: usize) -> Vec<Vec<Receiver>> {
+    let receivers: Vec<Receiver> = receivers.collect();
+    receivers.chunks(CHUNK).step_by(nth * SURFELS_PART).map(<[Receiver]>::to_vec).collect()
 }
 
 impl Job<'_> {
