@@ -109,7 +109,7 @@ struct Reference {
     rays: Vec<Vec<Point>>,
 }
 
-/// Every how manieth receiver is compared: odd, so that columns of a picture are met alike.
+/// From one receiver that is compared to the next: odd, so that columns of a picture are met alike.
 fn sample_step(receivers: usize) -> usize {
     (receivers / SAMPLE).max(1) | 1
 }
@@ -220,9 +220,10 @@ pub fn surfels(
 ) -> Result<Vec<WholeRow>> {
     let root = octree.header().root;
     surfels.sort_by_cached_key(|surfel| root.code(surfel.center()));
-    let receivers = surfels.iter().map(|s| Receiver::diffuse(s.center(), s.normal()));
+    let receiver = |surfel: &Surfel| Receiver::diffuse(surfel.center(), surfel.normal());
+    let receivers: Vec<Receiver> = surfels.iter().map(receiver).collect();
     let scene = format!("{} surfels", case.name);
-    let job = Job { scene, case, octree, groups: chunks(receivers, nth) };
+    let job = Job { scene, case, octree, groups: chunks(&receivers, nth) };
     job.run(case.quantities(), &job.cast(caster, noise)?)
 }
 
@@ -241,14 +242,13 @@ pub fn points(octree: &Octree, nth: usize) -> Result<Vec<WholeRow>> {
         receivers.extend(surfels.iter().map(|s| Receiver::diffuse(s.center, normal(s))));
         Ok::<(), StoreError>(())
     })?;
-    let groups = chunks(receivers.into_iter(), nth);
+    let groups = chunks(&receivers, nth);
     let job = Job { scene: case.name.clone(), case: &case, octree, groups };
     job.run(&[Quantity::Occlusion], &job.gather_finely()?)
 }
 
-/// Every so manieth chunk of receivers, as they are shaded.
-fn chunks(receivers: impl Iterator<Item = Receiver>, nth: usize) -> Vec<Vec<Receiver>> {
-    let receivers: Vec<Receiver> = receivers.collect();
+/// The chunks that receivers are shaded by, those of every `nth` band.
+fn chunks(receivers: &[Receiver], nth: usize) -> Vec<Vec<Receiver>> {
     receivers.chunks(CHUNK).step_by(nth * SURFELS_PART).map(<[Receiver]>::to_vec).collect()
 }
 

@@ -8,7 +8,9 @@ use crate::record::{Record, Tolerance};
 use crate::reflect::{LobeScratch, LobeVisitor};
 use crate::visitors::CubeVisitor;
 use crate::windows::lamp_window;
-use pbgi_brdf::{ConvolutionTable, Differential, Differentiator, GgxLobe, convolve_diffuse};
+use pbgi_brdf::{
+    ConvolutionTable, Differential, Differentiator, GgxLobe, LobePattern, convolve_diffuse,
+};
 use pbgi_cut::{
     CutReceiver, CutScratch, CutStats, CutVisitor, KNOWN_BYTES, NodeReader, Threshold,
     lies_on_disks, pick_cut,
@@ -80,8 +82,8 @@ impl Default for GatherSettings {
     }
 }
 
-/// The most directions of a reflection: 16 384, which err by 1 to 2 % where 1 024 do by 2 to 5 % (docs/measuring.md).
-pub const LOBE_LEVEL_MAX: u32 = 5;
+/// The highest level of a reflection's directions.
+pub const LOBE_LEVEL_MAX: u32 = LobePattern::LEVEL_MAX;
 
 /// The level of so many directions of a reflection, if there is one.
 #[must_use]

@@ -39,7 +39,7 @@ pub trait Lanes: Copy + sealed::Sealed {
     fn largest_where(self, bits: u16) -> f32;
     /// Writes the lanes whose bits are set.
     fn store_where(self, bits: u16, to: &mut [f32; SAMPLES]);
-    /// Runs a part of a kernel.
+    /// Runs a part of a kernel, which may be a function of its own. No closure does: it may be compiled without the instructions of the lanes.
     #[inline(always)]
     fn run_part<K: WideKernel>(part: K) -> K::Output {
         part.run::<Self>()
