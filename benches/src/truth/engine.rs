@@ -4,8 +4,11 @@ use crate::cases::{Case, Light};
 use crate::paths::SECONDS_MIN;
 use crate::workers::spread;
 use anyhow::Result;
-use pbgi_benches::{ThreadTimer, bake, bake_settings, dice, light_up};
-use pbgi_gather::{GatherParts, GatherSettings, Gatherer, PreparedLight, Receiver, Shading};
+use pbgi_benches::{ThreadTimer, bake, bake_settings, light_up};
+use pbgi_cloud::Surfel;
+use pbgi_gather::{
+    GatherParts, GatherSettings, Gatherer, PreparedLight, Receiver, Shading, lobe_directions,
+};
 use pbgi_light::{Environment, EnvironmentOptions};
 use pbgi_store::Octree;
 use std::path::Path;
@@ -73,29 +76,33 @@ impl Setting {
 
     /// What tells it from others.
     pub fn label(&self, case: &Case) -> String {
+        format!("surfels x {}, {}", self.density, self.quality(case))
+    }
+
+    /// The same of settings of one density.
+    pub fn quality(&self, case: &Case) -> String {
         let sharpness = match case.gloss {
-            Some(_) => format!("{} directions", 16 << (2 * self.lobe_level)),
+            Some(_) => format!("{} directions", lobe_directions(self.lobe_level)),
             None => format!("raster {}", self.raster_edge),
         };
-        format!("surfels x {}, {} sr, {sharpness}", self.density, self.solid_angle_sr)
+        format!("{} sr, {sharpness}", self.solid_angle_sr)
     }
 }
 
-/// Bakes a scene with light that bounces among its surfels.
+/// Bakes the surfels of a scene with light that bounces among them.
 ///
 /// # Errors
 ///
 /// If a step fails.
-pub fn bake_case(case: &Case, surfels: u64, path: &Path) -> Result<Octree> {
-    let surfels = dice(&case.scene, surfels)?;
-    let mut octree = bake(&surfels, path)?;
+pub fn bake_case(case: &Case, surfels: &[Surfel], path: &Path) -> Result<Octree> {
+    let mut octree = bake(surfels, path)?;
     if case.bounces == 0 {
         return Ok(octree);
     }
     let settings = bake_settings();
     let light = Setting { raster_edge: settings.raster_edge, ..Setting::default() }.light(case)?;
     for _ in 0..case.bounces {
-        octree = bake(&light_up(&octree, light.as_ref(), &surfels, &settings)?, path)?;
+        octree = bake(&light_up(&octree, light.as_ref(), surfels, &settings)?, path)?;
     }
     Ok(octree)
 }

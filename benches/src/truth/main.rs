@@ -20,6 +20,7 @@ use clap::Parser;
 use engine::{LADDER, Setting, bake_case, gather_all};
 use paths::{RayCurve, Truth};
 use pbgi_benches::{Caster, SkyImage, dice};
+use pbgi_cloud::Surfel;
 use pbgi_gather::{Receiver, lobe_level};
 use pbgi_store::Octree;
 use record::Records;
@@ -102,8 +103,11 @@ struct Bench<'a> {
 }
 
 impl Bench<'_> {
-    fn bake(&self, density: f64) -> Result<Octree> {
-        let surfels = (self.case.surfels(self.surfels) as f64 * density) as u64;
+    fn dice(&self, density: f64) -> Result<Vec<Surfel>> {
+        dice(&self.case.scene, (self.case.surfels(self.surfels) as f64 * density) as u64)
+    }
+
+    fn bake(&self, surfels: &[Surfel]) -> Result<Octree> {
         bake_case(self.case, surfels, &self.folder.join("scene.pbgi"))
     }
 
@@ -120,7 +124,7 @@ impl Bench<'_> {
                 continue;
             }
             if !plain && other.as_ref().is_none_or(|(density, _)| *density != setting.density) {
-                other = Some((setting.density, self.bake(setting.density)?));
+                other = Some((setting.density, self.bake(&self.dice(setting.density)?)?));
             }
             let of_density = other.as_ref().filter(|_| !plain).map_or(octree, |(_, o)| o);
             let (found, us) = gather_all(self.case, of_density, setting, places)?;
@@ -132,7 +136,7 @@ impl Bench<'_> {
     fn run(&self, arguments: &Arguments, pictures: Option<&Path>) -> Result<(Vec<Row>, Drawn)> {
         let Self { case, caster, .. } = *self;
         let places = case.receivers(caster, &case.view(arguments.width));
-        let octree = self.bake(1.0)?;
+        let octree = self.bake(&self.dice(1.0)?)?;
         let setting = Setting {
             solid_angle_sr: arguments.solid_angle,
             raster_edge: arguments.raster,
@@ -259,15 +263,15 @@ fn run_whole(arguments: &Arguments, width: u32, temporary: &Path) -> Result<Vec<
         let Some(case) = find_case(arguments, name)? else { continue };
         let sky = case.sky.clone().map(SkyImage::new);
         let caster = Caster::new(&case.scene, sky.as_ref());
-        let surfels = arguments.surfels;
-        let bench = Bench { case: &case, caster: &caster, surfels, folder: temporary };
-        let octree = bench.bake(1.0)?;
+        let (surfels, folder) = (arguments.surfels, temporary);
+        let bench = Bench { case: &case, caster: &caster, surfels, folder };
+        let surfels = bench.dice(1.0)?;
+        let octree = bench.bake(&surfels)?;
         let in_case = || format!("case {name}");
         let picture = whole::picture(&case, &caster, &octree, (width, nth), arguments.noise);
         rows.extend(printed(picture.with_context(in_case)?));
         if WITH_SURFELS.contains(&name.as_str()) {
-            let all = (dice(&case.scene, case.surfels(surfels))?, nth);
-            let all = whole::surfels(&case, &caster, &octree, all, arguments.noise);
+            let all = whole::surfels(&case, &caster, &octree, (surfels, nth), arguments.noise);
             rows.extend(printed(all.with_context(in_case)?));
         }
     }
@@ -281,8 +285,8 @@ fn printed(rows: Vec<WholeRow>) -> Vec<WholeRow> {
 
 /// The level of so many directions.
 fn parse_directions(text: &str) -> Result<u32, String> {
-    let found = text.parse().ok().and_then(lobe_level);
-    found.ok_or_else(|| "expected 16, 64, 256, 1024, 4096 or 16384".to_owned())
+    let directions = text.parse().map_err(|error| format!("{error}"))?;
+    lobe_level(directions).map_err(|expected| format!("expected {expected}"))
 }
 
 fn main() -> Result<()> {

@@ -149,12 +149,14 @@ impl Job<'_> {
     fn run(&self, quantities: &[Quantity], reference: &Reference) -> Result<Vec<WholeRow>> {
         let mut runs = Vec::new();
         for (solid_angle_sr, raster_edge, tolerance) in LADDER {
-            // As many directions of a reflection as the raster has texels, or nearly.
+            // Two directions of a reflection for three texels of the raster.
             let lobe_level = raster_edge.ilog2() - 1;
             let setting = Setting { solid_angle_sr, raster_edge, lobe_level, ..Setting::default() };
+            // Reflections are never interpolated.
+            let tolerance = if self.case.gloss.is_some() { 0.0 } else { tolerance };
             let (found, seconds, gathers) = self.shade(&setting, tolerance)?;
             let found: Vec<Light> = found.into_iter().step_by(sample_step(self.count())).collect();
-            let label = format!("{solid_angle_sr} sr, raster {raster_edge}, {tolerance}");
+            let label = format!("{}, {tolerance}", setting.quality(self.case));
             let of_receivers = 1.0 / self.count().max(1) as f64;
             let microseconds = 1e6 * seconds * of_receivers;
             runs.push((label, found, microseconds, gathers as f64 * of_receivers));
@@ -177,6 +179,31 @@ impl Job<'_> {
             })
         };
         quantities.iter().enumerate().map(row).collect()
+    }
+
+    /// Results of all receivers, processor seconds, and how many gathered.
+    fn shade(&self, setting: &Setting, tolerance: f32) -> Result<(Vec<Light>, f64, u64)> {
+        let case = self.case;
+        let gather = GatherSettings { tolerance, ..setting.gather(case) };
+        let options = ShadeOptions { gather, threads: 1, ..ShadeOptions::default() };
+        let light = setting.light(case)?;
+        let mut found = Vec::new();
+        let before = processor_seconds().unwrap_or_default();
+        let report = shade_stream(
+            self.octree,
+            light.as_ref(),
+            &options,
+            &mut KeptRecords::default(),
+            |feed: &mut Feed<'_, '_, (), ScheduleError>| {
+                self.groups.iter().try_for_each(|group| feed.push(Cow::Borrowed(group), ()))
+            },
+            |chunk| {
+                found.extend(chunk.shadings.iter().map(light_of));
+                Ok(())
+            },
+        )?;
+        let seconds = processor_seconds().unwrap_or_default() - before;
+        Ok((found, seconds, report.cut_sizes.count))
     }
 }
 
@@ -250,35 +277,6 @@ pub fn points(octree: &Octree, nth: usize) -> Result<Vec<WholeRow>> {
 /// The chunks that receivers are shaded by, those of every `nth` band.
 fn chunks(receivers: &[Receiver], nth: usize) -> Vec<Vec<Receiver>> {
     receivers.chunks(CHUNK).step_by(nth * SURFELS_PART).map(<[Receiver]>::to_vec).collect()
-}
-
-impl Job<'_> {
-    /// Results of all receivers, processor seconds, and how many gathered.
-    fn shade(&self, setting: &Setting, tolerance: f32) -> Result<(Vec<Light>, f64, u64)> {
-        let case = self.case;
-        // Reflections are never interpolated.
-        let tolerance = if case.gloss.is_some() { 0.0 } else { tolerance };
-        let gather = GatherSettings { tolerance, ..setting.gather(case) };
-        let options = ShadeOptions { gather, threads: 1, ..ShadeOptions::default() };
-        let light = setting.light(case)?;
-        let mut found = Vec::new();
-        let before = processor_seconds().unwrap_or_default();
-        let report = shade_stream(
-            self.octree,
-            light.as_ref(),
-            &options,
-            &mut KeptRecords::default(),
-            |feed: &mut Feed<'_, '_, (), ScheduleError>| {
-                self.groups.iter().try_for_each(|group| feed.push(Cow::Borrowed(group), ()))
-            },
-            |chunk| {
-                found.extend(chunk.shadings.iter().map(light_of));
-                Ok(())
-            },
-        )?;
-        let seconds = processor_seconds().unwrap_or_default() - before;
-        Ok((found, seconds, report.cut_sizes.count))
-    }
 }
 
 /// Time at [`ERROR`] of every picture, in Markdown.

@@ -85,10 +85,16 @@ impl Default for GatherSettings {
 /// The highest level of a reflection's directions.
 pub const LOBE_LEVEL_MAX: u32 = LobePattern::LEVEL_MAX;
 
-/// The level of so many directions of a reflection, if there is one.
-#[must_use]
-pub fn lobe_level(directions: usize) -> Option<u32> {
-    (0..=LOBE_LEVEL_MAX).find(|level| lobe_directions(*level) == directions)
+/// The level of so many directions of a reflection.
+///
+/// # Errors
+///
+/// With what is expected, if there is none.
+pub fn lobe_level(directions: usize) -> Result<u32, &'static str> {
+    const { assert!(LOBE_LEVEL_MAX == 5, "so many numbers") };
+    let mut levels = 0..=LOBE_LEVEL_MAX;
+    let found = levels.find(|level| lobe_directions(*level) == directions);
+    found.ok_or("16, 64, 256, 1024, 4096 or 16384")
 }
 
 /// Directions of a reflection.

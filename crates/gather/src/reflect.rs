@@ -148,9 +148,6 @@ impl<L: Lanes> LobeVisitor<'_, L> {
         let Ink { veil, tolerance, radiance, solid_angle, .. } = *ink;
         let ink = LobeInk { veil, tolerance, radiance, reflected: [0.0; 3] };
         let mut drawn = Drawn { ink, solid_angle, is_particle: false };
-        if radiance == [0.0; 3] && !is_round {
-            return drawn;
-        }
         let &Place { spread, share, ref reflect, .. } = place;
         drawn.is_particle = is_round && PI * spread * spread < PARTICLE_DIRECTIONS * share;
         if solid_angle <= COUNTED_DIRECTIONS * share || drawn.is_particle {

@@ -305,8 +305,7 @@ impl ShadeSettings {
         if !(1..=64).contains(&self.raster_edge) {
             return out_of_range("the raster", &self.raster_edge, "1 to 64 texels along a face");
         }
-        if lobe_level(self.directions).is_none() {
-            let expected = "16, 64, 256, 1024, 4096 or 16384";
+        if let Err(expected) = lobe_level(self.directions) {
             return out_of_range("the number of directions", &self.directions, expected);
         }
         if !(0.0..=10.0).contains(&self.bias) {
