@@ -3,7 +3,7 @@
 //! `cargo run --release -p pbgi-benches --bin cache -- --folder bench --json cache.json --svg cache.svg`
 
 use anyhow::{Context, Result, bail};
-use clap::Parser;
+use clap::{Parser, ValueEnum};
 use pbgi::{BakeRequest, Progress, bake};
 use pbgi_benches::{Line, plot};
 use pbgi_file::platform::processor_seconds;
@@ -37,6 +37,9 @@ struct Arguments {
     /// Budgets in percent of the file.
     #[arg(long, value_delimiter = ',', default_value = "1,2.3,10,29,100")]
     budgets: Vec<f64>,
+    /// Orders of the receivers.
+    #[arg(long, value_delimiter = ',', default_value = "morton,hilbert,scanline,shuffled")]
+    orders: Vec<Order>,
     /// Receivers whose cut error is measured.
     #[arg(long, default_value_t = 200)]
     check: usize,
@@ -58,7 +61,7 @@ const BRIEF_PAGE_BYTES: usize = 16 << 10;
 const STRETCHES: usize = 16;
 
 /// An order of receivers.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 enum Order {
     /// Along the Morton curve.
@@ -320,14 +323,17 @@ fn cut_error(bench: &Bench, receivers: &[Receiver], check: usize) -> Result<f64>
     Ok(compare(&open(GatherSettings::default().solid_angle_sr)?, &open(0.0)?)?.rrmse)
 }
 
-/// The settings to run, the whole file in memory first.
-fn settings(budgets: &[f64]) -> Vec<Setting> {
+/// The settings to run, the whole file in memory first. Along the Morton curve the file is cold, too.
+fn settings(budgets: &[f64], orders: &[Order]) -> Vec<Setting> {
     let mut all = Vec::new();
     for &budget_percent in budgets.iter().rev() {
-        let warm = Setting { order: Order::Morton, budget_percent, cold: false };
-        all.extend([warm, Setting { cold: true, ..warm }]);
-        let orders = [Order::Hilbert, Order::Scanline, Order::Shuffled];
-        all.extend(orders.map(|order| Setting { order, ..warm }));
+        for &order in orders {
+            let warm = Setting { order, budget_percent, cold: false };
+            all.push(warm);
+            if order == Order::Morton {
+                all.push(Setting { cold: true, ..warm });
+            }
+        }
     }
     all
 }
@@ -354,11 +360,11 @@ fn measure(
     bench: &Bench,
     name: &'static str,
     receivers: &[Receiver],
-    budgets: &[f64],
+    arguments: &Arguments,
 ) -> Result<Vec<Row>> {
     let (mut rows, mut whole, mut reference) = (Vec::new(), None, Vec::new());
     print_head();
-    for setting in settings(budgets) {
+    for setting in settings(&arguments.budgets, &arguments.orders) {
         let arranged = arrange(receivers, setting.order, name == "camera");
         let (shadings, measured) = bench.run(&arranged, &setting)?;
         if whole.is_none() {
@@ -437,7 +443,7 @@ fn main() -> Result<()> {
             bench.threads,
             error * 100.0
         );
-        rows.extend(measure(&bench, name, receivers, &arguments.budgets)?);
+        rows.extend(measure(&bench, name, receivers, &arguments)?);
     }
     write_outputs(&rows, arguments.json.as_deref(), arguments.svg.as_deref())
 }

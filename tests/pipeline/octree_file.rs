@@ -4,7 +4,9 @@ use crate::support::{bake, bake_and_open, stream};
 use pbgi_build::{BuildOptions, SortedStream, StreamError, build_octree};
 use pbgi_cloud::Surfel;
 use pbgi_format::{PageKind, page_checksum};
+use pbgi_gather::Receiver;
 use pbgi_math::{MortonCode, Vec3};
+use pbgi_schedule::{ShadeOptions, shade_receivers};
 use pbgi_store::{Backend, Octree, OpenOptions, StoreError};
 use pbgi_testkit::{SurfelForm, closed_room, random_objects};
 
@@ -250,4 +252,25 @@ fn any_number_of_threads_verifies_the_same() {
     assert_eq!((told, one.bytes_read), (bytes, bytes));
     assert_eq!(one.levels.iter().map(|level| level.surfels).sum::<u64>(), surfels.len() as u64);
     assert_eq!(one, octree.verify(3, |_| {}).unwrap());
+}
+
+#[test]
+fn a_walk_uses_much_of_each_page_it_reads() {
+    let (folder, octree) =
+        bake_and_open(&random_objects(200_000, 0.004, 3), &BuildOptions::default());
+    let path = octree.path().to_owned();
+    drop(octree);
+    let (mut opened, mut bytes_read) = (0, 0);
+    for place in [Vec3::ZERO, Vec3::new(0.5, -0.3, 0.2), Vec3::new(-0.7, 0.6, -0.4)] {
+        // With nothing in memory before.
+        let octree = Octree::open(&path, &OpenOptions::default()).unwrap();
+        let receivers = [Vec3::Y, Vec3::NEG_Y].map(|normal| Receiver::diffuse(place, normal));
+        let (_, report) =
+            shade_receivers(&octree, None, &receivers, &ShadeOptions::default()).unwrap();
+        opened += report.cut.opened;
+        bytes_read += octree.stats().bytes_read;
+    }
+    drop(folder);
+    // 1.6 KB a group; 2.5 KB where treelets grow until they fill a page.
+    assert!(bytes_read < 2000 * opened, "{bytes_read} bytes for {opened} groups and leaves");
 }

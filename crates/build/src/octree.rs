@@ -34,7 +34,7 @@ pub fn build_octree(
 /// surfels and on `page_bytes`, `leaf_surfels_max`, `rounding`, `compress`, `channels` and `albedo` only.
 ///
 /// Memory: the pieces in flight and what was built of them; 32 bytes for each page, for the page table; at most 21 levels times seven
-/// waiting treelets, in practice a few megabytes.
+/// closed nodes, with the treelets that wait below them, in practice a few megabytes.
 ///
 /// # Errors
 ///
@@ -103,7 +103,7 @@ fn finish(
 ) -> Result<BuildReport, BuildError> {
     let layout = tree.settings.layout;
     let (bounds, area, flux) = (node.aggregate.bounds, node.aggregate.area, node.aggregate.flux);
-    let root = match node.content {
+    let mut root = match node.content {
         PendingContent::Group(group) => group,
         // A cloud that fits one leaf still gets a root group.
         PendingContent::Leaf(_) => {
@@ -113,7 +113,10 @@ fn finish(
             }
         }
     };
-    let link = tree.sink.write_treelets(&[&root], &tree.settings.layout)?[0];
+    root.flush_waiting(tree.settings.page_bytes, &mut |treelets| {
+        tree.sink.write_treelets(treelets, &layout)
+    })?;
+    let link = tree.sink.write_treelets(&[&root], &layout)?[0];
     let counts = tree.counts;
     let spacing = (area / surfels as f64).sqrt() as f32;
     let header = Header {

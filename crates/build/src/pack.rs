@@ -1,4 +1,7 @@
-//! From closed nodes to pages: treelets grow bottom-up until they fill a page.
+//! From closed nodes to pages: treelets grow bottom-up to a few levels, and neighbors among those that hang on one treelet share a page.
+//!
+//! A walk opens about as many groups of each level, those around the receiver. Of a treelet as large as a page it opens the root and little else;
+//! of neighbors that are a few levels high it opens more, and fewer bytes are read for the same groups.
 
 use crate::aggregate::NodeAggregate;
 use crate::reduce::LobeReducer;
@@ -59,6 +62,8 @@ enum ChildContent {
     Leaf { end: usize, count: u32 },
     /// A group of the same treelet.
     Group(Box<Group>),
+    /// The root of another treelet, which waits for its neighbors.
+    Waiting(Box<Group>),
     /// A group in a finished page.
     External(ExternalLink),
 }
@@ -69,6 +74,21 @@ struct Child {
     lobes_end: usize,
     content: ChildContent,
 }
+
+impl ChildContent {
+    /// A leaf without surfels.
+    const NONE: Self = Self::Leaf { end: 0, count: 0 };
+}
+
+/// Turns treelets into a page and says where their roots lie.
+pub(crate) type WriteTreelets<'w, E> = dyn FnMut(&[&Group]) -> Result<Vec<ExternalLink>, E> + 'w;
+
+/// A treelet closes when it is larger than this part of a page; it then has two or three levels. With a cache of 2.3 % of the file, bytes are read
+/// 3.3, 2.6 and 2.1 times at 4, 8 and 16; at 16 there are twice as many pages as at 8, and the page table is twice as large.
+const TREELETS_PER_PAGE: usize = 8;
+
+/// Bytes of a link to another page.
+const EXTERNAL_LINK_BYTES: usize = 8;
 
 /// A group of a treelet that is not yet in a page.
 pub(crate) struct Group {
@@ -148,7 +168,7 @@ impl Group {
         for child in &mut self.children {
             match &mut child.content {
                 ChildContent::External(link) => link.page.0 += by,
-                ChildContent::Group(group) => group.move_pages(by),
+                ChildContent::Group(group) | ChildContent::Waiting(group) => group.move_pages(by),
                 ChildContent::Leaf { .. } => {}
             }
         }
@@ -179,7 +199,9 @@ impl Group {
                     self.link_bytes += group.link_bytes;
                     self.surfel_bytes += group.surfel_bytes;
                 }
-                ChildContent::External(_) => self.link_bytes += 8,
+                ChildContent::Waiting(_) | ChildContent::External(_) => {
+                    self.link_bytes += EXTERNAL_LINK_BYTES;
+                }
             }
         }
     }
@@ -189,56 +211,86 @@ impl Group {
         self.groups_bytes + self.link_bytes
     }
 
-    /// Whether the treelet is too large for one pair of pages.
-    pub fn exceeds(&self, page_bytes: usize) -> bool {
-        NODE_PAGE_HEADER_BYTES + self.node_bytes() > page_bytes
-            || SURFEL_PAGE_FIXED_BYTES + self.surfel_bytes > page_bytes
+    /// Whether the treelet has grown enough to begin new ones below its root.
+    pub fn is_grown(&self, page_bytes: usize) -> bool {
+        self.node_bytes().max(self.surfel_bytes) > page_bytes / TREELETS_PER_PAGE
     }
 
-    /// Moves the children's treelets into pages: neighbors share a page as long as they fit.
-    /// `write` turns treelets into a page and says where their roots lie.
-    pub fn flush_children<E>(
+    /// Makes the children's treelets wait for their neighbors; those that waited for one of them go to pages.
+    pub fn close_children<E>(
         &mut self,
         page_bytes: usize,
         layout: &SurfelLayout,
-        mut write: impl FnMut(&[&Self]) -> Result<Vec<ExternalLink>, E>,
+        write: &mut WriteTreelets<'_, E>,
     ) -> Result<(), E> {
-        let mut start = 0;
-        while start < self.children.len() {
-            let (mut node_bytes, mut surfel_bytes) =
-                (NODE_PAGE_HEADER_BYTES, SURFEL_PAGE_FIXED_BYTES);
-            let mut members = Vec::new();
-            let mut end = start;
-            while end < self.children.len() {
-                if let ChildContent::Group(group) = &self.children[end].content {
-                    node_bytes += group.node_bytes();
-                    surfel_bytes += group.surfel_bytes;
-                    let full = node_bytes > page_bytes || surfel_bytes > page_bytes;
-                    if full && !members.is_empty() {
-                        break;
-                    }
-                    members.push(end);
+        for child in &mut self.children {
+            // What stands there meanwhile goes with an error.
+            let content = std::mem::replace(&mut child.content, ChildContent::NONE);
+            child.content = match content {
+                ChildContent::Group(mut group) => {
+                    group.flush_waiting(page_bytes, write)?;
+                    ChildContent::Waiting(group)
                 }
-                end += 1;
-            }
-            if !members.is_empty() {
-                let roots: Vec<&Self> = members
-                    .iter()
-                    .filter_map(|&i| match &self.children[i].content {
-                        ChildContent::Group(group) => Some(&**group),
-                        _ => None,
-                    })
-                    .collect();
-                let links = write(&roots)?;
-                for (&i, link) in members.iter().zip(links) {
-                    self.children[i].content = ChildContent::External(link);
-                }
-            }
-            start = end;
+                other => other,
+            };
         }
         self.measure(layout);
         Ok(())
     }
+
+    /// Moves all treelets that hang on this one into pages: neighbors share a page as long as they fit.
+    pub fn flush_waiting<E>(
+        &mut self,
+        page_bytes: usize,
+        write: &mut WriteTreelets<'_, E>,
+    ) -> Result<(), E> {
+        let mut waiting = Vec::new();
+        self.push_waiting(&mut waiting);
+        let mut links = Vec::with_capacity(waiting.len());
+        let mut rest = &waiting[..];
+        while !rest.is_empty() {
+            let (page, after) = rest.split_at(neighbors_that_fit(rest, page_bytes));
+            links.extend(write(page)?);
+            rest = after;
+        }
+        self.link_waiting(&mut links.into_iter());
+        Ok(())
+    }
+
+    fn push_waiting<'g>(&'g self, waiting: &mut Vec<&'g Self>) {
+        for child in &self.children {
+            match &child.content {
+                ChildContent::Group(group) => group.push_waiting(waiting),
+                ChildContent::Waiting(group) => waiting.push(group),
+                ChildContent::Leaf { .. } | ChildContent::External(_) => {}
+            }
+        }
+    }
+
+    /// Puts links in the places of what waited, in the order of [`Self::push_waiting`].
+    fn link_waiting(&mut self, links: &mut impl Iterator<Item = ExternalLink>) {
+        for child in &mut self.children {
+            match &mut child.content {
+                ChildContent::Group(group) => group.link_waiting(links),
+                ChildContent::Waiting(_) => {
+                    let link = links.next().expect("each treelet has a place");
+                    child.content = ChildContent::External(link);
+                }
+                ChildContent::Leaf { .. } | ChildContent::External(_) => {}
+            }
+        }
+    }
+}
+
+/// How many of the first treelets, at least one, go into one pair of pages.
+fn neighbors_that_fit(treelets: &[&Group], page_bytes: usize) -> usize {
+    let (mut nodes, mut surfels) = (NODE_PAGE_HEADER_BYTES, SURFEL_PAGE_FIXED_BYTES);
+    let fits = |group: &&&Group| {
+        nodes += group.node_bytes();
+        surfels += group.surfel_bytes;
+        nodes <= page_bytes && surfels <= page_bytes
+    };
+    treelets.iter().take_while(fits).count().max(1)
 }
 
 /// Room for the surfels of those nodes that are leaves: most take less, and a leaf's own fields as much as a few.
@@ -329,6 +381,7 @@ fn pack_group(group: &Group, layout: &SurfelLayout, packed: &mut PackedTreelets)
                 packed.links.push(*link);
                 ChildLink::External(packed.links.len() as u32 - 1)
             }
+            ChildContent::Waiting(_) => unreachable!("what hangs on a treelet is written first"),
         };
         let lobes = &group.lobes[lobes_start..child.lobes_end];
         lobes_start = child.lobes_end;

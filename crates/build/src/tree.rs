@@ -166,8 +166,7 @@ impl<S: PageSink> TreeBuilder<S> {
         self.close_group(split, children.drain(..))
     }
 
-    /// Turns closed children into a group; where its treelet outgrows a page, moves the children's
-    /// treelets into pages.
+    /// Turns closed children into a group; where its treelet has grown enough, closes those of the children.
     pub fn close_group<'s>(
         &mut self,
         split: Vec3,
@@ -183,9 +182,9 @@ impl<S: PageSink> TreeBuilder<S> {
         let (leaves, nodes) = group.counts();
         let (hot_bytes, lobe_bytes) = group.own_bytes(layout);
         counts.add(&Counts { nodes, leaves, hot_bytes, lobe_bytes, dim_surfels });
-        if group.exceeds(settings.page_bytes) {
-            group.flush_children(settings.page_bytes, layout, |roots| {
-                sink.write_treelets(roots, layout)
+        if group.is_grown(settings.page_bytes) {
+            group.close_children(settings.page_bytes, layout, &mut |treelets| {
+                sink.write_treelets(treelets, layout)
             })?;
         }
         Ok(PendingNode { aggregate, content: PendingContent::Group(Box::new(group)) })

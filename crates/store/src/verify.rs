@@ -7,7 +7,9 @@ mod page;
 use crate::error::StoreError;
 use crate::octree::Octree;
 use batch::Facts;
+use join::Join;
 use pbgi_format::{FormatError, LOBES_MAX, PageEntry, PageId, PageKind};
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc;
@@ -47,7 +49,7 @@ impl Octree {
     /// place and a size, and the header's totals.
     ///
     /// Each thread holds a mebibyte of stored bytes (two, or three pages, at most), and what they decode to. Beside these about two
-    /// hundred bytes are kept for each treelet of the file until the end. `progress` is told the bytes read.
+    /// hundred bytes are kept until the end for each treelet that is linked from another run of pages. `progress` is told the bytes read.
     ///
     /// # Errors
     ///
@@ -66,26 +68,21 @@ impl Octree {
                 scope.spawn(move || self.check_batches(batches, next, &sender));
             }
             drop(sender);
-            let mut facts: Vec<Facts> = Vec::new();
-            facts.resize_with(batches.len(), Facts::default);
-            let (mut bytes_read, mut failed) = (0, None::<(usize, StoreError)>);
+            let (mut join, mut waiting) = (Join::default(), BTreeMap::new());
+            let (mut joined, mut bytes_read) = (0, 0);
+            // The first failure in the order of the file counts; there the joining ends.
             for (index, result) in results {
-                match result {
-                    Ok(found) => {
-                        bytes_read += found.bytes_read;
-                        facts[index] = found;
-                        progress(bytes_read);
-                    }
-                    Err(error) if failed.as_ref().is_none_or(|(first, _)| index < *first) => {
-                        failed = Some((index, error));
-                    }
-                    Err(_) => {}
+                if let Ok(found) = &result {
+                    bytes_read += found.bytes_read;
+                    progress(bytes_read);
+                }
+                waiting.insert(index, result);
+                while let Some(result) = waiting.remove(&joined) {
+                    join.push(self, result?)?;
+                    joined += 1;
                 }
             }
-            match failed {
-                Some((_, error)) => Err(error),
-                None => join::join(self, facts),
-            }
+            join.finish(self)
         })
     }
 

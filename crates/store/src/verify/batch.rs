@@ -1,6 +1,7 @@
 //! A run of neighboring pages, read at once and checked by itself.
 
 use super::LevelCounts;
+use super::join::fold;
 use super::page::NodeCheck;
 use crate::error::StoreError;
 use crate::octree::Octree;
@@ -22,13 +23,13 @@ pub(super) struct Facts {
     pub lobe_counts: [u64; LOBES_MAX + 1],
     /// Pages by decoded size in steps of 4 KiB, as far as there are any.
     pub page_sizes: Vec<u64>,
-    /// Treelets, in the order of the file.
+    /// Treelets that nothing in the run links to, in the order of the file.
     pub roots: Vec<Root>,
-    /// Links to them.
+    /// Links to treelets of other runs.
     pub links: Vec<Link>,
 }
 
-/// A group that no group of its page links to, with what is below it in the page.
+/// A group that nothing links to so far, with what is below it in its page and in those joined to it.
 pub(super) struct Root {
     pub page: PageId,
     pub offset: u32,
@@ -98,6 +99,7 @@ pub(super) fn check(
         }
         NodeCheck::run(octree, id, &bytes, &mut surfels, &mut facts)?;
     }
+    (facts.roots, facts.links) = fold(octree, facts.roots, facts.links)?;
     Ok(facts)
 }
 
