@@ -20,6 +20,9 @@ const RUN_RECEIVERS: usize = 512;
 /// Receivers, or records, that look for the records around them together.
 const BLOCK: usize = 64;
 
+/// Receivers that look together among those of their block, or run.
+const SMALL_BLOCK: usize = 8;
+
 /// Expected error over the tolerance from which a receiver gathers for itself: below 1, so that records overlap where they are blended.
 const COVERED: f32 = 0.5;
 
@@ -106,7 +109,7 @@ impl<'a, 'o, 'k> RecordShader<'a, 'o, 'k> {
             (self.options.progress)((before + count as u64) / 2);
         };
         let kept = std::mem::take(&mut self.kept.0);
-        let mut records = Pool { parts: vec![kept.within(receivers, &order)] };
+        let mut records = Pool { parts: vec![kept.within(receivers, &order).to_records()] };
         drop(kept);
         let (options, workers) = (self.options, &mut self.workers);
         let sample: Vec<u32> =
@@ -131,10 +134,11 @@ impl<'a, 'o, 'k> RecordShader<'a, 'o, 'k> {
             if made.iter().all(|part| part.records.is_empty()) {
                 break;
             }
+            let first_new = records.parts.len();
             records.parts.extend(made);
             let count = records.parts.len();
             let reaches = in_parallel(workers, options.cancel, count, |_, number| {
-                Ok(records.agreed_reaches(number, &tolerance))
+                Ok(records.agreed_reaches(number, first_new, &tolerance))
             })?;
             for (part, reaches) in records.parts.iter_mut().zip(reaches) {
                 part.limit_reaches(&reaches);
@@ -205,6 +209,11 @@ fn in_parallel<'a, T: Send>(
     done.into_iter().map(|(_, result)| result).collect()
 }
 
+/// Whether a record serves well enough that a receiver need not gather.
+fn covers(record: &Record, receiver: &Receiver) -> bool {
+    record.error_at(receiver) < COVERED
+}
+
 /// What a run of receivers is covered by.
 struct Cover<'c> {
     receivers: &'c [Receiver],
@@ -217,13 +226,13 @@ struct Cover<'c> {
 impl Cover<'_> {
     /// Records that cover, with those present, what of a run is not.
     fn run(&self, worker: &mut Worker<'_>, run: &[u32]) -> Result<Records, ScheduleError> {
-        let present = self.present.within(self.receivers, run);
+        let is_uncovered = self.present.by_block(self.receivers, run, |near, receiver| {
+            near.around(receiver.position).all(|record| !covers(record, receiver))
+        });
         let mut made = Records::default();
         for place in coarse_to_fine(run.len()) {
             let receiver = &self.receivers[run[place] as usize];
-            let covers = |record: &Record| record.error_at(receiver) < COVERED;
-            let is_covered = |records: &Records| records.any_around(receiver.position, covers);
-            if is_covered(&present) || is_covered(&made) {
+            if !is_uncovered[place] || made.cover(receiver) {
                 continue;
             }
             if self.cancel.load(Ordering::Relaxed) {
@@ -252,12 +261,14 @@ fn blend(
     records: &Pool,
     parts: GatherParts,
 ) -> Result<Vec<Shading>, ScheduleError> {
-    let near = records.within(receivers, block);
-    let mut shadings = Vec::with_capacity(block.len());
-    for &index in block {
-        let receiver = &receivers[index as usize];
+    let blends = records.by_block(receivers, block, |near, receiver| {
         let mut blend = Blend::default();
         near.around(receiver.position).for_each(|record| blend.add(record, receiver));
+        blend
+    });
+    let mut shadings = Vec::with_capacity(block.len());
+    for (&index, blend) in block.iter().zip(blends) {
+        let receiver = &receivers[index as usize];
         let mut shading = match blend.shading(receiver) {
             Some(shading) => shading,
             None => worker.gather_broad(receiver)?,
@@ -268,6 +279,11 @@ fn blend(
         shadings.push(shading);
     }
     Ok(shadings)
+}
+
+/// The box around the chosen of the receivers.
+fn bounds_of(receivers: &[Receiver], chosen: &[u32]) -> Aabb {
+    Aabb::from_points(chosen.iter().map(|&index| receivers[index as usize].position))
 }
 
 /// Square of the distance from a point to a box.
@@ -313,17 +329,12 @@ impl Records {
         self.balls = self.records.iter().map(ball).collect();
     }
 
-    /// Whether something holds of any record in whose ball a place lies.
-    fn any_around(&self, place: Vec3, holds: impl Fn(&Record) -> bool) -> bool {
+    /// Whether any record covers a receiver.
+    fn cover(&self, receiver: &Receiver) -> bool {
+        let place = receiver.position;
         let is_in = |ball: &[f32; 4]| place.distance_squared(center(ball)) < ball[3];
-        self.balls.iter().zip(&self.records).any(|(ball, record)| is_in(ball) && holds(record))
-    }
-
-    /// Records in whose balls a place lies, and maybe some of which it lies just outside.
-    fn around(&self, place: Vec3) -> impl Iterator<Item = &Record> {
-        let is_in =
-            move |ball: &[f32; 4]| place.distance_squared(center(ball)) < ROUNDING * ball[3];
-        self.balls.iter().zip(&self.records).filter(move |(ball, _)| is_in(ball)).map(|pair| pair.1)
+        let mut records = self.balls.iter().zip(&self.records);
+        records.any(|(ball, record)| is_in(ball) && covers(record, receiver))
     }
 
     /// Limits a new record and those that are here to where they agree.
@@ -352,6 +363,45 @@ impl Records {
     }
 }
 
+/// Records near some place, in the order of the pool.
+#[derive(Default)]
+struct Near<'r> {
+    balls: Vec<[f32; 4]>,
+    records: Vec<&'r Record>,
+}
+
+impl<'r> Near<'r> {
+    /// Adds those whose balls touch a box.
+    fn push_within<'b>(
+        &mut self,
+        bounds: &Aabb,
+        records: impl Iterator<Item = (&'b [f32; 4], &'r Record)>,
+    ) {
+        for (ball, record) in records {
+            if distance2(bounds, center(ball)) < ROUNDING * ball[3] {
+                self.balls.push(*ball);
+                self.records.push(record);
+            }
+        }
+    }
+
+    fn to_records(&self) -> Records {
+        let records = self.records.iter().copied().copied().collect();
+        Records { records, balls: self.balls.clone() }
+    }
+
+    /// Those in whose balls a place lies, and maybe some of which it lies just outside.
+    fn around(&self, place: Vec3) -> impl Iterator<Item = &'r Record> {
+        let is_in =
+            move |ball: &[f32; 4]| place.distance_squared(center(ball)) < ROUNDING * ball[3];
+        self.balls
+            .iter()
+            .zip(&self.records)
+            .filter(move |(ball, _)| is_in(ball))
+            .map(|pair| *pair.1)
+    }
+}
+
 /// Records of several runs.
 #[derive(Debug, Default)]
 struct Pool {
@@ -360,10 +410,33 @@ struct Pool {
 
 impl Pool {
     /// Those that may serve for some of the receivers.
-    fn within(&self, receivers: &[Receiver], chosen: &[u32]) -> Records {
-        let positions = chosen.iter().map(|&index| receivers[index as usize].position);
-        let bounds = Aabb::from_points(positions);
-        self.chosen(|ball| distance2(&bounds, center(ball)) < ball[3])
+    fn within(&self, receivers: &[Receiver], chosen: &[u32]) -> Near<'_> {
+        let bounds = bounds_of(receivers, chosen);
+        let mut near = Near::default();
+        for part in &self.parts {
+            near.push_within(&bounds, part.balls.iter().zip(&part.records));
+        }
+        near
+    }
+
+    /// What is to be told of each receiver by the records near its block.
+    fn by_block<T>(
+        &self,
+        receivers: &[Receiver],
+        chosen: &[u32],
+        mut tell: impl FnMut(&Near<'_>, &Receiver) -> T,
+    ) -> Vec<T> {
+        let all = self.within(receivers, chosen);
+        let mut told = Vec::with_capacity(chosen.len());
+        let mut near = Near::default();
+        for block in chosen.chunks(SMALL_BLOCK) {
+            near.balls.clear();
+            near.records.clear();
+            let balls = all.balls.iter().zip(all.records.iter().copied());
+            near.push_within(&bounds_of(receivers, block), balls);
+            told.extend(block.iter().map(|&index| tell(&near, &receivers[index as usize])));
+        }
+        told
     }
 
     /// The `count` that reach farthest, or a few less.
@@ -377,34 +450,31 @@ impl Pool {
         self
     }
 
-    /// Those whose balls are chosen.
-    fn chosen(&self, is_chosen: impl Fn(&[f32; 4]) -> bool) -> Records {
-        let mut found = Records::default();
-        for part in &self.parts {
-            let balls = part.balls.iter().zip(&part.records);
-            balls.filter(|(ball, _)| is_chosen(ball)).for_each(|(_, record)| found.push(*record));
-        }
-        found
-    }
-
-    /// Records no farther from a box than this, and where they are.
-    fn places(&self, bounds: &Aabb, farthest: f32) -> Vec<(Vec3, &Record)> {
+    /// Records of parts no farther from a box than this, and where they are.
+    fn places<'p>(
+        parts: impl Iterator<Item = &'p Records>,
+        bounds: &Aabb,
+        farthest: f32,
+    ) -> Vec<(Vec3, &'p Record)> {
         let farthest2 = ROUNDING * farthest * farthest;
         let mut near = Vec::new();
-        for part in &self.parts {
+        for part in parts {
             let places = part.balls.iter().map(center).zip(&part.records);
             near.extend(places.filter(|(place, _)| distance2(bounds, *place) < farthest2));
         }
         near
     }
 
-    /// Reaches of the records of a part to where they agree with all.
-    fn agreed_reaches(&self, number: usize, tolerance: &Tolerance) -> Vec<f32> {
+    /// Reaches of the records of a part to where they agree with all. Those of parts before `first_new` agree with each other, as do those of one
+    /// part: with a shorter reach a record allows more, so that no pair need be looked at twice.
+    fn agreed_reaches(&self, number: usize, first_new: usize, tolerance: &Tolerance) -> Vec<f32> {
+        let is_other = |part: &usize| *part != number && (*part).max(number) >= first_new;
+        let others = || (0..self.parts.len()).filter(is_other).map(|part| &self.parts[part]);
         let mut reaches = Vec::with_capacity(self.parts[number].records.len());
         for block in self.parts[number].records.chunks(BLOCK) {
             let bounds = Aabb::from_points(block.iter().map(Record::position));
             let farthest = block.iter().map(Record::reach).fold(0.0, f32::max);
-            let near = self.places(&bounds, farthest);
+            let near = Self::places(others(), &bounds, farthest);
             let agreed = |record: &Record| {
                 let (place, reach2) = (record.position(), ROUNDING * record.reach().powi(2));
                 let is_near = |other: &&(Vec3, &Record)| place.distance_squared(other.0) < reach2;
