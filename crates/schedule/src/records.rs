@@ -38,7 +38,8 @@ const KEPT_DIVISOR: usize = 4;
 /// Bytes held per receiver, where each gathers for itself.
 pub const RECORD_BYTES: usize = {
     let each = size_of::<Record>() + size_of::<[f32; 4]>();
-    each + each / KEPT_DIVISOR
+    // What covers a receiver is known twice while it is found anew.
+    each + each / KEPT_DIVISOR + 2 * size_of::<RecordId>()
 };
 
 /// Records of the chunks before, for the one that follows.
@@ -109,7 +110,8 @@ impl<'a, 'o, 'k> RecordShader<'a, 'o, 'k> {
             (self.options.progress)((before + count as u64) / 2);
         };
         let kept = std::mem::take(&mut self.kept.0);
-        let mut records = Pool { parts: vec![kept.within(receivers, &order).to_records()] };
+        let near = kept.within(receivers, &order);
+        let mut records = Pool { parts: vec![kept.copies(&near)] };
         drop(kept);
         let (options, workers) = (self.options, &mut self.workers);
         let sample: Vec<u32> =
@@ -119,6 +121,7 @@ impl<'a, 'o, 'k> RecordShader<'a, 'o, 'k> {
         })?;
         let tolerance = Tolerance::new(options.gather.tolerance, &sample);
         let runs: Vec<&[u32]> = order.chunks(RUN_RECEIVERS).collect();
+        let mut covering = vec![Vec::new(); runs.len()];
         for round in 0..ROUNDS_MAX {
             let cover = Cover {
                 receivers,
@@ -126,11 +129,13 @@ impl<'a, 'o, 'k> RecordShader<'a, 'o, 'k> {
                 tolerance: &tolerance,
                 cancel: options.cancel,
             };
-            let made = in_parallel(workers, options.cancel, runs.len(), |worker, number| {
-                let made = cover.run(worker, runs[number])?;
+            let covered = in_parallel(workers, options.cancel, runs.len(), |worker, number| {
+                let covered = cover.run(worker, (number, runs[number]), &covering[number])?;
                 advance(if round == 0 { runs[number].len() } else { 0 });
-                Ok(made)
+                Ok(covered)
             })?;
+            let made: Vec<Records>;
+            (made, covering) = covered.into_iter().unzip();
             if made.iter().all(|part| part.records.is_empty()) {
                 break;
             }
@@ -224,25 +229,59 @@ struct Cover<'c> {
 }
 
 impl Cover<'_> {
-    /// Records that cover, with those present, what of a run is not.
-    fn run(&self, worker: &mut Worker<'_>, run: &[u32]) -> Result<Records, ScheduleError> {
-        let is_uncovered = self.present.by_block(self.receivers, run, |near, receiver| {
-            near.around(receiver.position).all(|record| !covers(record, receiver))
+    /// Records that cover, with those present, what of a run is not; and what covers each receiver, as told for the round before.
+    fn run(
+        &self,
+        worker: &mut Worker<'_>,
+        (number, run): (usize, &[u32]),
+        covering: &[RecordId],
+    ) -> Result<(Records, Vec<RecordId>), ScheduleError> {
+        let receiver = |index: u32| &self.receivers[index as usize];
+        let covers = |id: RecordId, index: u32| {
+            self.present.get(id).is_some_and(|record| covers(record, receiver(index)))
+        };
+        let mut found = vec![RecordId::NONE; run.len()];
+        let mut open: Vec<usize> = Vec::new();
+        for (place, &index) in run.iter().enumerate() {
+            match covering.get(place) {
+                Some(&id) if covers(id, index) => found[place] = id,
+                _ => open.push(place),
+            }
+        }
+        let chosen: Vec<u32> = open.iter().map(|&place| run[place]).collect();
+        // What covers a receiver covers most of its neighbors.
+        let mut last = RecordId::NONE;
+        let present = self.present.by_block(self.receivers, &chosen, |near, index| {
+            if !covers(last, index) {
+                let mut around = near.around(receiver(index).position);
+                last = around.find(|&id| covers(id, index)).unwrap_or(RecordId::NONE);
+            }
+            last
         });
+        open.iter().zip(present).for_each(|(&place, id)| found[place] = id);
+        // The part of the pool that what is made here will be.
+        let part = (self.present.parts.len() + number) as u32;
         let mut made = Records::default();
         for place in coarse_to_fine(run.len()) {
-            let receiver = &self.receivers[run[place] as usize];
-            if !is_uncovered[place] || made.cover(receiver) {
+            if found[place] != RecordId::NONE {
                 continue;
             }
-            if self.cancel.load(Ordering::Relaxed) {
-                return Err(ScheduleError::Cancelled);
-            }
-            let mut record = worker.record(receiver, self.tolerance)?;
-            made.agree(&mut record, self.tolerance);
-            made.push(record);
+            let receiver = receiver(run[place]);
+            let number = match made.covering(receiver) {
+                Some(number) => number,
+                None => {
+                    if self.cancel.load(Ordering::Relaxed) {
+                        return Err(ScheduleError::Cancelled);
+                    }
+                    let mut record = worker.record(receiver, self.tolerance)?;
+                    made.agree(&mut record, self.tolerance);
+                    made.push(record);
+                    made.records.len() - 1
+                }
+            };
+            found[place] = RecordId { part, number: number as u32 };
         }
-        Ok(made)
+        Ok((made, found))
     }
 }
 
@@ -261,9 +300,11 @@ fn blend(
     records: &Pool,
     parts: GatherParts,
 ) -> Result<Vec<Shading>, ScheduleError> {
-    let blends = records.by_block(receivers, block, |near, receiver| {
+    let blends = records.by_block(receivers, block, |near, index| {
+        let receiver = &receivers[index as usize];
+        let around = near.around(receiver.position).filter_map(|id| records.get(id));
         let mut blend = Blend::default();
-        near.around(receiver.position).for_each(|record| blend.add(record, receiver));
+        around.for_each(|record| blend.add(record, receiver));
         blend
     });
     let mut shadings = Vec::with_capacity(block.len());
@@ -329,12 +370,12 @@ impl Records {
         self.balls = self.records.iter().map(ball).collect();
     }
 
-    /// Whether any record covers a receiver.
-    fn cover(&self, receiver: &Receiver) -> bool {
+    /// The first record that covers a receiver.
+    fn covering(&self, receiver: &Receiver) -> Option<usize> {
         let place = receiver.position;
         let is_in = |ball: &[f32; 4]| place.distance_squared(center(ball)) < ball[3];
         let mut records = self.balls.iter().zip(&self.records);
-        records.any(|(ball, record)| is_in(ball) && covers(record, receiver))
+        records.position(|(ball, record)| is_in(ball) && covers(record, receiver))
     }
 
     /// Limits a new record and those that are here to where they agree.
@@ -363,42 +404,45 @@ impl Records {
     }
 }
 
-/// Records near some place, in the order of the pool.
-#[derive(Default)]
-struct Near<'r> {
-    balls: Vec<[f32; 4]>,
-    records: Vec<&'r Record>,
+/// Where a record is in a pool.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct RecordId {
+    part: u32,
+    number: u32,
 }
 
-impl<'r> Near<'r> {
+impl RecordId {
+    /// Of no pool.
+    const NONE: Self = Self { part: u32::MAX, number: u32::MAX };
+}
+
+/// Records near some place, in the order of the pool.
+#[derive(Default)]
+struct Near {
+    balls: Vec<[f32; 4]>,
+    ids: Vec<RecordId>,
+}
+
+impl Near {
     /// Adds those whose balls touch a box.
     fn push_within<'b>(
         &mut self,
         bounds: &Aabb,
-        records: impl Iterator<Item = (&'b [f32; 4], &'r Record)>,
+        records: impl Iterator<Item = (&'b [f32; 4], RecordId)>,
     ) {
-        for (ball, record) in records {
+        for (ball, id) in records {
             if distance2(bounds, center(ball)) < ROUNDING * ball[3] {
                 self.balls.push(*ball);
-                self.records.push(record);
+                self.ids.push(id);
             }
         }
     }
 
-    fn to_records(&self) -> Records {
-        let records = self.records.iter().copied().copied().collect();
-        Records { records, balls: self.balls.clone() }
-    }
-
     /// Those in whose balls a place lies, and maybe some of which it lies just outside.
-    fn around(&self, place: Vec3) -> impl Iterator<Item = &'r Record> {
+    fn around(&self, place: Vec3) -> impl Iterator<Item = RecordId> {
         let is_in =
             move |ball: &[f32; 4]| place.distance_squared(center(ball)) < ROUNDING * ball[3];
-        self.balls
-            .iter()
-            .zip(&self.records)
-            .filter(move |(ball, _)| is_in(ball))
-            .map(|pair| *pair.1)
+        self.balls.iter().zip(&self.ids).filter(move |(ball, _)| is_in(ball)).map(|pair| *pair.1)
     }
 }
 
@@ -409,12 +453,17 @@ struct Pool {
 }
 
 impl Pool {
+    fn get(&self, id: RecordId) -> Option<&Record> {
+        self.parts.get(id.part as usize)?.records.get(id.number as usize)
+    }
+
     /// Those that may serve for some of the receivers.
-    fn within(&self, receivers: &[Receiver], chosen: &[u32]) -> Near<'_> {
+    fn within(&self, receivers: &[Receiver], chosen: &[u32]) -> Near {
         let bounds = bounds_of(receivers, chosen);
         let mut near = Near::default();
-        for part in &self.parts {
-            near.push_within(&bounds, part.balls.iter().zip(&part.records));
+        for (part, records) in (0..).zip(&self.parts) {
+            let ids = (0..).map(|number| RecordId { part, number });
+            near.push_within(&bounds, records.balls.iter().zip(ids));
         }
         near
     }
@@ -424,19 +473,27 @@ impl Pool {
         &self,
         receivers: &[Receiver],
         chosen: &[u32],
-        mut tell: impl FnMut(&Near<'_>, &Receiver) -> T,
+        mut tell: impl FnMut(&Near, u32) -> T,
     ) -> Vec<T> {
+        if chosen.is_empty() {
+            return Vec::new();
+        }
         let all = self.within(receivers, chosen);
         let mut told = Vec::with_capacity(chosen.len());
         let mut near = Near::default();
         for block in chosen.chunks(SMALL_BLOCK) {
             near.balls.clear();
-            near.records.clear();
-            let balls = all.balls.iter().zip(all.records.iter().copied());
-            near.push_within(&bounds_of(receivers, block), balls);
-            told.extend(block.iter().map(|&index| tell(&near, &receivers[index as usize])));
+            near.ids.clear();
+            let bounds = bounds_of(receivers, block);
+            near.push_within(&bounds, all.balls.iter().zip(all.ids.iter().copied()));
+            told.extend(block.iter().map(|&index| tell(&near, index)));
         }
         told
+    }
+
+    fn copies(&self, near: &Near) -> Records {
+        let records = near.ids.iter().filter_map(|&id| self.get(id)).copied().collect();
+        Records { records, balls: near.balls.clone() }
     }
 
     /// The `count` that reach farthest, or a few less.
