@@ -43,8 +43,15 @@ const PATHS: u32 = 1 << 16;
 const FINE: (f32, usize) = (0.01, 32);
 
 /// Settings from coarse to fine: solid angle, raster, share that interpolation may be wrong by.
-const LADDER: [(f32, usize, f32); 6] =
-    [(1.0, 4, 0.4), (0.6, 8, 0.2), (0.3, 8, 0.2), (0.15, 8, 0.2), (0.1, 16, 0.1), (0.03, 16, 0.1)];
+const LADDER: [(f32, usize, f32); 7] = [
+    (1.0, 4, 0.4),
+    (0.3, 4, 0.4),
+    (0.6, 8, 0.2),
+    (0.3, 8, 0.2),
+    (0.15, 8, 0.2),
+    (0.1, 16, 0.2),
+    (0.03, 16, 0.1),
+];
 
 /// Error at which times are told.
 const ERROR: f64 = 0.05;
