@@ -38,7 +38,11 @@ pub(super) const CASES: [HardCase; 6] = [
         about: "`sparse-1` with nodes of 0.2 sr",
         promise: 0.03,
         why: CROWD,
-        limit: None,
+        limit: Some(KnownLimit {
+            today: 0.05,
+            because: "clusters as coarse as that are 3.3 % more open than their disks, and what veils let through differs by half a percent with their seeds, which \
+                are places in the file: five of them had 2.9, 2.9, 3.0, 3.3 and 4.3 %",
+        }),
         measure: |engine| crowd(engine, 1.0, Some(0.2)),
     },
     HardCase {
