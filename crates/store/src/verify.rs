@@ -49,7 +49,7 @@ impl Octree {
     /// place and a size, and the header's totals.
     ///
     /// Each thread holds a mebibyte of stored bytes (two, or three pages, at most), and what they decode to. Beside these about two
-    /// hundred bytes are kept until the end for each treelet that is linked from another run of pages. `progress` is told the bytes read.
+    /// hundred bytes are kept for each treelet until a page that links to it was checked. `progress` is told the bytes read.
     ///
     /// # Errors
     ///

@@ -19,8 +19,8 @@ pub(super) struct Join {
     page_surfels: u64,
     roots: Vec<Root>,
     links: Vec<Link>,
-    /// Treelets that call for the next round.
-    roots_max: usize,
+    /// Treelets that the last round left.
+    left: usize,
 }
 
 impl Join {
@@ -38,9 +38,8 @@ impl Join {
         let links = part.links.into_iter();
         self.links.extend(links.map(|link| Link { from: link.from + before, ..link }));
         self.roots.extend(part.roots);
-        if self.roots.len() > self.roots_max {
+        if self.roots.len() > 2 * self.left + UNJOINED {
             self.fold(octree)?;
-            self.roots_max = 2 * self.roots.len() + UNJOINED;
         }
         Ok(())
     }
@@ -48,6 +47,7 @@ impl Join {
     fn fold(&mut self, octree: &Octree) -> Result<(), StoreError> {
         let (roots, links) = (std::mem::take(&mut self.roots), std::mem::take(&mut self.links));
         (self.roots, self.links) = fold(octree, roots, links)?;
+        self.left = self.roots.len();
         Ok(())
     }
 
