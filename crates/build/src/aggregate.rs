@@ -1,5 +1,6 @@
 //! Sums over the surfels of a node: its bounds and its directional form.
 
+use crate::clumping::SheetCover;
 use crate::lobe_sum::{LobeSum, lobe_area};
 use crate::reduce::{LobeReducer, LobeSums};
 use pbgi_cloud::{Surfel, SurfelFlags};
@@ -33,6 +34,8 @@ pub struct NodeAggregate {
     pub flux: [f64; 3],
     /// Directional form, at least one lobe.
     pub lobes: LobeSums,
+    /// What its sheets cover, if it has any.
+    sheets: Option<Box<SheetCover>>,
 }
 
 impl NodeAggregate {
@@ -88,6 +91,12 @@ impl NodeAggregate {
             sum.add(&own, surfel.area * shape.normal[*axis].abs());
         }
         node.set_stencils(stencils, StencilSum::finish_narrow);
+        let is_sheet = |&(_, owner): &(&Surfel, &u32)| {
+            node.lobes.get(*owner as usize).is_some_and(LobeSum::is_sheet)
+        };
+        let sheets = surfels.iter().zip(&reducer.owners).filter(is_sheet);
+        let sheets = SheetCover::of_surfels(sheets.map(|(surfel, _)| surfel));
+        node.set_sheets(sheets);
         node
     }
 
@@ -113,6 +122,13 @@ impl NodeAggregate {
                 lobe.stencil_area = at_random;
             }
         }
+    }
+
+    fn set_sheets(&mut self, sheets: Option<SheetCover>) {
+        let Some(sheets) = sheets else { return };
+        let clumping = sheets.clumping(&self.lobes, &self.bounds);
+        self.lobes.iter_mut().for_each(|lobe| lobe.clumping = clumping);
+        self.sheets = Some(Box::new(sheets));
     }
 
     /// Aggregate of an inner node.
@@ -149,7 +165,7 @@ impl NodeAggregate {
         sum.lobes = reducer.reduce(lobe_total);
         let mut stencils = sum.stencils();
         let mut owners = reducer.owners.iter();
-        for child in children {
+        for child in children.clone() {
             for (lobe, owner) in child.lobes.iter().zip(&mut owners) {
                 let Some(Some((_, sum))) = stencils.get_mut(*owner as usize) else { continue };
                 let share = lobe.stencil_area / lobe.stencil.0.count_ones().max(1) as f32;
@@ -157,6 +173,7 @@ impl NodeAggregate {
             }
         }
         sum.set_stencils(stencils, |sum, least| sum.finish(least));
+        sum.set_sheets(SheetCover::of_parts(children.filter_map(|child| child.sheets.as_deref())));
         sum
     }
 
@@ -168,6 +185,7 @@ impl NodeAggregate {
             area: 0.0,
             flux: [0.0; 3],
             lobes: LobeSums::default(),
+            sheets: None,
         }
     }
 }

@@ -5,6 +5,7 @@
 #![forbid(unsafe_code)]
 
 mod aggregate;
+mod clumping;
 mod error;
 mod items;
 mod lobe_sum;

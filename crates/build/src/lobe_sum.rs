@@ -31,6 +31,8 @@ pub struct LobeSum {
     pub stencil: Stencil,
     /// Cells that they cover, seen along the stencil's axis: Σ of the covered shares; of loose ones, of those that they cover at random.
     pub stencil_area: f32,
+    /// Of a sheet that is not flat, the clumping index of its node.
+    pub clumping: f32,
 }
 
 /// Share of their area by which normals of parallel sheets may cancel.
@@ -69,6 +71,7 @@ impl LobeSum {
             },
             stencil: Stencil::FULL,
             stencil_area: 0.0,
+            clumping: 1.0,
         }
     }
 
@@ -124,6 +127,11 @@ impl LobeSum {
         self.loose > 0.5 * self.area
     }
 
+    /// Whether it has one side only, and is a surface.
+    pub(crate) fn is_sheet(&self) -> bool {
+        !self.blocks_back && !self.is_loose()
+    }
+
     /// Axis along which its stencil is looked at, which is that of the direction as it is stored.
     pub(crate) fn stencil_axis(&self) -> usize {
         stencil_axis(Lobe::decoded_direction(self.vector.as_vec3()))
@@ -172,7 +180,7 @@ impl LobeSum {
         }
         // Outlines are of all surfels, as what is buried lies within others'; what is shown is of those that are seen, so that light is kept.
         let shown = if self.seen > 0.0 { self.seen / self.area } else { 1.0 };
-        Lobe {
+        let mut lobe = Lobe {
             vector: (self.vector * shown).as_vec3(),
             width: (solve_width(length, self.area) * shown) as f32,
             blocks_back: self.blocks_back,
@@ -181,7 +189,11 @@ impl LobeSum {
             fill: fill as f32,
             is_loose: self.is_loose(),
             stencil: self.stencil,
+        };
+        if lobe.is_sheet() && !lobe.is_flat() {
+            lobe.set_clumping(self.clumping);
         }
+        lobe
     }
 }
 
@@ -258,7 +270,7 @@ mod tests {
         assert!(fill_of_sheets(&[0.3], 0.0) > 0.99);
         assert!(fill_of_sheets(&[-0.5, 0.5], 0.0) > 0.99);
         // Two that are tilted apart cover each other, and no more.
-        let two = fill_of_sheets(&[-0.5, 0.5], 0.3);
+        let two = fill_of_sheets(&[-0.5, 0.5], 0.1);
         assert!(two > 0.85, "{two}");
     }
 

@@ -6,6 +6,7 @@ use pbgi_math::{
     Stencil, Vec3, box_silhouette, central_section_area, larger, patch_solid_angle_factor,
     scramble, stencil_axis,
 };
+use std::f32::consts::FRAC_1_PI;
 
 /// A piece of a plane that stands for one lobe of a node.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -56,10 +57,10 @@ const SOLID_CLOSED: f32 = 0.5;
 /// has an error of 3.9, 3.9 and 4.5 %.
 const SHEET_CLOSED: f32 = 0.8;
 
-/// The seed of the veil of a node's loose lobe, as if drawn at random: lobes and nodes must not be combined by what seeds of nodes are made of, or
-/// the lobe of one node has the veil of the next page's.
+/// The seed of the veil of one of a node's lobes that hide each other at random, as if drawn at random: lobes and nodes must not be combined by what seeds
+/// of nodes are made of, or the lobe of one node has the veil of the next page's.
 #[inline(always)]
-fn loose_seed(node: u32, lobe: usize) -> u32 {
+fn lobe_seed(node: u32, lobe: usize) -> u32 {
     scramble(node.wrapping_add((lobe as u32).wrapping_mul(0x9e37_79b9)))
 }
 
@@ -155,14 +156,15 @@ impl Cluster {
             added = drop_backs(&shown, lobes, &mut order);
         }
         if areas.sheets > 0.0 {
-            thin_sheets(&mut shown, lobes, areas.sheets, || box_silhouette(half, toward_receiver));
+            thin_sheets(&mut shown, lobes, areas.sheets, box_silhouette(half, toward_receiver));
         }
         sort(&mut order);
         let margin = Self::REACH * (high - low).max_element();
         (self.low, self.high) = (low - margin, high + margin);
         self.spread = half.length() * inverse_distance;
         self.count = 0;
-        let mut covered = 0.0;
+        // By solid things, and by sheets.
+        let (mut covered, mut sheets_seed) = ([0.0; 2], None);
         for place in order {
             if place == NOT_DRAWN {
                 break;
@@ -192,13 +194,20 @@ impl Cluster {
             };
             let closed = if seen.is_sheet { SHEET_CLOSED } else { SOLID_CLOSED };
             if seen.is_loose {
-                piece.seed = loose_seed(seed, number);
+                piece.seed = lobe_seed(seed, number);
             } else if seen.is_flat {
                 piece.end = if seen.opacity >= closed { 1.0 } else { seen.opacity };
+                if seen.is_sheet {
+                    piece.seed = lobe_seed(seed, number);
+                }
             } else if seen.is_front {
-                piece.start = covered;
-                piece.end = (covered + seen.opacity).min(1.0);
-                covered = piece.end;
+                let covered = &mut covered[usize::from(seen.is_sheet)];
+                piece.start = *covered;
+                piece.end = (*covered + seen.opacity).min(1.0);
+                *covered = piece.end;
+                if seen.is_sheet {
+                    piece.seed = *sheets_seed.get_or_insert_with(|| lobe_seed(seed, number));
+                }
             } else {
                 piece.end = seen.opacity.min(1.0);
             }
@@ -224,7 +233,7 @@ impl Areas {
         self.loose += loose;
         self.fronts += front;
         self.backs += back;
-        self.sheets += if seen.is_sheet { area } else { 0.0 };
+        self.sheets += if seen.is_sheet && !seen.is_flat { area } else { 0.0 };
     }
 }
 
@@ -327,6 +336,20 @@ fn see_flat(seen: &mut Shown, known: &KnownLobe, point: Vec3) {
     };
 }
 
+/// Mean of *d*²/|**p**|² over the points **p** of a box whose middle is at the distance *d*, to the second order: 1 + σ²/*d*², with the mean variance σ² of
+/// points along an axis.
+#[inline(always)]
+fn mean_nearness(half: Vec3, distance2: f32) -> f32 {
+    1.0 + half.length_squared() * (1.0 / 9.0) / distance2
+}
+
+/// Area over which a section that faces the receiver is seen, were it all as near as its middle, to the second order: its rim is farther, and slanted. That of
+/// a disk of this area.
+#[inline(always)]
+fn seen_section(section: f32, distance2: f32) -> f32 {
+    section / (1.0 + section * (0.75 * FRAC_1_PI) / distance2)
+}
+
 /// What a round lobe shows, a section through the middle of its box that faces the receiver.
 #[inline(always)]
 fn see_round(seen: &mut Shown, known: &KnownLobe, center: Vec3, half: Vec3, toward_receiver: Vec3) {
@@ -337,12 +360,14 @@ fn see_round(seen: &mut Shown, known: &KnownLobe, center: Vec3, half: Vec3, towa
     if !(area > 0.0) {
         return;
     }
+    let section = central_section_area(half, toward_receiver);
+    let nearness = mean_nearness(half, distance2);
     *seen = Shown {
         inverse: toward_receiver * -inverse_distance,
-        solid_angle: if is_front { front } else { back } / distance2,
+        solid_angle: if is_front { front } else { back } * nearness / distance2,
         cosine: 1.0,
         distance2,
-        opacity: (area / central_section_area(half, toward_receiver)).min(1.0),
+        opacity: area * nearness / seen_section(section, distance2),
         area,
         shining: f32::from(is_front),
         is_sheet: !lobe.blocks_back && !lobe.is_loose,
@@ -352,47 +377,14 @@ fn see_round(seen: &mut Shown, known: &KnownLobe, center: Vec3, half: Vec3, towa
     };
 }
 
-/// Reduces what sheets show that are not one flat piece to `1 − e^−τ`; `total` is their area. A flat lobe is another piece of cloth beside the largest as
-/// far as they cover different cells, and hides as it is. So does a board, whose outline is known: which of two boards is before the other, a lamp below
-/// a ceiling, the raster finds by their depths.
+/// Lets the round sheets of a node cover `1 − e^−Ωτ` of its box's silhouette, where their area is `τ` times that: leaves hide each other, and the clumping
+/// index Ω tells how much. Flat ones are drawn as they are: where they overlap, the raster finds.
 #[inline(always)]
-fn thin_sheets(
-    shown: &mut ShownLobes,
-    lobes: &[KnownLobe],
-    total: f32,
-    silhouette: impl Fn() -> f32,
-) {
-    let (mut flat, mut largest) = (0.0, None);
-    for (index, seen) in shown.iter().enumerate() {
-        if seen.is_sheet && seen.is_flat && seen.area > flat {
-            (flat, largest) = (seen.area, Some(index));
-        }
-    }
-    if !(total - flat > 1e-3 * total) {
-        return;
-    }
-    // Of each, the share that lies anywhere in what is left of the box.
-    let mut loose = [0.0; LOBES_MAX];
-    let mut rest = 0.0;
-    for (index, known) in lobes.iter().enumerate() {
-        let seen = &shown[index];
-        if !seen.is_sheet || largest == Some(index) || known.is_board() {
-            continue;
-        }
-        loose[index] = match largest {
-            Some(largest) if seen.is_flat => known.shares[largest],
-            _ => 1.0,
-        };
-        rest += loose[index] * seen.area;
-    }
-    if !(rest > 1e-3 * total) {
-        return;
-    }
-    let silhouette = silhouette();
-    let open = (silhouette - (total - rest)).max(0.0);
-    let factor = (open * (1.0 - (-rest / silhouette).exp()) / rest).min(1.0);
-    for (seen, loose) in shown.iter_mut().zip(loose) {
-        let kept = 1.0 - loose * (1.0 - factor);
+fn thin_sheets(shown: &mut ShownLobes, lobes: &[KnownLobe], total: f32, silhouette: f32) {
+    let is_round = |(seen, _): &(&mut Shown, &KnownLobe)| seen.is_sheet && !seen.is_flat;
+    for (seen, known) in shown.iter_mut().zip(lobes).filter(is_round) {
+        let depth = known.lobe.clumping() * total / silhouette;
+        let kept = (silhouette * (1.0 - (-depth).exp()) / total).min(1.0);
         seen.opacity *= kept;
         seen.solid_angle *= kept;
     }
@@ -484,40 +476,60 @@ mod tests {
         assert_eq!(cluster.pieces()[0].stencil, Stencil::FULL);
     }
 
-    /// Cloth over the box 0 ..= 1: two sheets, the larger first, with these normals and stencils and a width, as seen from below.
-    fn see_cloth(normals: [Vec3; 2], stencils: [u64; 2], width: f32) -> Vec<f32> {
+    /// Sheets of the box 0 ..= 1, of these normals, each of this area, width and fill.
+    fn see_sheets(receiver: Vec3, normals: &[Vec3], area: f32, [width, fill]: [f32; 2]) -> Cluster {
         let bounds = Aabb { min: Vec3::ZERO, max: Vec3::ONE };
-        let sheet = |(k, normal): (usize, Vec3)| {
-            let stencil = Stencil(stencils[k]);
-            let vector = normal.normalize() * if k == 0 { 0.6 } else { 0.3 };
-            let lobe = Lobe { vector, width, fill: 0.9, stencil, ..Lobe::default() };
-            KnownLobe::new(&lobe, &bounds)
+        let sheet = |normal: &Vec3| {
+            let vector = normal.normalize() * area;
+            KnownLobe::new(&Lobe { vector, width, fill, ..Lobe::default() }, &bounds)
         };
-        let mut lobes: Vec<KnownLobe> = normals.into_iter().enumerate().map(sheet).collect();
-        crate::lobe::find_shares(&mut lobes, &bounds);
-        let receiver = Vec3::new(0.4, -3.0, 0.6);
-        let cluster = look(receiver, &lobes, 1);
-        let mut ends: Vec<f32> = cluster.pieces().iter().map(|piece| piece.end).collect();
-        ends.sort_by(f32::total_cmp);
-        ends
+        let lobes: Vec<KnownLobe> = normals.iter().map(sheet).collect();
+        look(receiver, &lobes, 8)
     }
 
     #[test]
-    fn cloth_is_thinned_only_where_it_lies_above_other_cloth() {
-        let (left, right) = (0x0f0f_0f0f_0f0f_0f0f, 0xf0f0_f0f0_f0f0_f0f0);
-        let down = Vec3::NEG_Y;
-        // Beside each other both are closed, above each other the smaller one hides itself in part.
-        assert_eq!(see_cloth([down, down], [left, right], 0.02), [1.0, 1.0]);
-        let above = see_cloth([down, down], [left, left], 0.02);
-        assert!(above[0] > 0.3 && above[0] < 0.8 && above[1] == 1.0, "{above:?}");
-        // Boards, all of whose surfels lie one way, hide nothing of themselves: a lamp below a ceiling.
-        assert_eq!(see_cloth([down, down], [left, left], 0.0), [1.0, 1.0]);
-        // A plane half way up, in the box around a slanted one or beside it, which has its cells along y and z.
-        let slanted = Vec3::new(1.0, -1.0, 0.0);
-        let within = see_cloth([slanted, down], [u64::MAX, u64::MAX], 0.02);
-        assert!(within[0] > 0.3 && within[0] < 0.8 && within[1] == 1.0, "{within:?}");
-        let upper = 0xe0e0_e0e0_e0e0_e0e0;
-        assert_eq!(see_cloth([slanted, down], [upper, u64::MAX], 0.02), [1.0, 1.0]);
+    fn flat_sheets_hide_as_they_are_and_each_by_itself() {
+        let receiver = Vec3::new(0.4, -3.0, 0.6);
+        // Above each other: closed ones stay closed, thin ones have veils of their own.
+        for (fill, end) in [(0.9, 1.0), (0.5, 0.5)] {
+            let normals = [Vec3::NEG_Y, Vec3::new(0.5, -1.0, 0.0)];
+            let cluster = see_sheets(receiver, &normals, 0.5, [0.02, fill]);
+            let [a, b] = cluster.pieces() else { panic!("two pieces") };
+            assert!(a.end == end && b.end == end && a.seed != b.seed, "{a:?} {b:?}");
+        }
+    }
+
+    #[test]
+    fn leaves_cover_what_their_clumping_says() {
+        // From far away, along an axis and from the side.
+        for receiver in [Vec3::new(0.5, 1000.0, 0.5), Vec3::new(600.0, 800.0, -300.0)] {
+            let toward = (receiver - 0.5).normalize();
+            let half = Vec3::splat(0.5);
+            let silhouette = box_silhouette(half, toward);
+            for clumping in [0.3, 0.8, 1.2f32] {
+                let normals = [Vec3::Y, Vec3::NEG_Y, Vec3::new(1.0, 1.0, 1.0)];
+                let cluster = see_sheets(receiver, &normals, 0.5, [0.6, 0.5 * clumping]);
+                let shown = |n: &Vec3| {
+                    let along = 0.5 * n.normalize().dot(toward);
+                    0.5 * (along + along.hypot(0.6))
+                };
+                let area: f32 = normals.iter().map(shown).sum();
+                let expected = silhouette * (1.0 - (-clumping * area / silhouette).exp());
+                // Shares of one veil, one after the other.
+                let mut ends = 0.0;
+                for piece in cluster.pieces() {
+                    assert!((piece.start - ends).abs() < 1e-6 && piece.is_round, "{piece:?}");
+                    ends = piece.end;
+                }
+                let covered = ends * central_section_area(half, toward);
+                let expected = expected.min(area).min(central_section_area(half, toward));
+                assert!((covered / expected - 1.0).abs() < 2e-3, "{covered} {expected}");
+                // What is hidden inside does not shine.
+                let shining: f32 = cluster.pieces().iter().map(|p| p.solid_angle).sum();
+                let distance2 = (receiver - 0.5).length_squared();
+                assert!((shining * distance2 / expected - 1.0).abs() < 0.02, "{shining}");
+            }
+        }
     }
 
     /// Loose lobes of the box 0 ..= 1, of these normals, each of this area and width.
@@ -564,7 +576,7 @@ mod tests {
             for offset in (32..1632).step_by(4) {
                 for octant in 0..8 {
                     let node = crate::node::node_seed(pbgi_format::PageId(page), offset, octant);
-                    seeds.extend((0..LOBES_MAX).map(|lobe| loose_seed(node, lobe)));
+                    seeds.extend((0..LOBES_MAX).map(|lobe| lobe_seed(node, lobe)));
                 }
             }
         }

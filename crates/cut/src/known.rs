@@ -1,7 +1,7 @@
 //! An octree's nodes, decoded once and kept for the receivers that come by next.
 
 use crate::group::{Boxes, KnownGroup};
-use crate::lobe::{KnownLobe, find_shares};
+use crate::lobe::KnownLobe;
 use crate::node::{NodePlace, bad_link, node_seed, pin_sound_page, view_group};
 use crate::stats::CutStats;
 use crate::surfel::CutSurfel;
@@ -428,14 +428,12 @@ impl<'a> NodeReader<'a> {
             for index in 0..view.child_count() {
                 let bounds = group.bounds(index);
                 let stored = view.lobe_bytes(index, layout.channels).chunks_exact(stride);
-                let first = self.lobes.len();
                 for (stored, stencil) in stored.zip(view.stencils(index)) {
                     let mut lobe =
                         Lobe::read(stored, layout.channels, layout.area, layout.radiance_scale);
                     lobe.stencil = stencil;
                     self.lobes.push(KnownLobe::new(&lobe, &bounds));
                 }
-                find_shares(&mut self.lobes[first..], &bounds);
                 starts[index + 1..].fill(self.lobes.len() as u32);
             }
         }

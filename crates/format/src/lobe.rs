@@ -6,6 +6,13 @@ use pbgi_math::{SharedExponent, Stencil, Vec3, decode_octahedral24, encode_octah
 /// Most lobes a node may have.
 pub const LOBES_MAX: usize = 4;
 
+/// Largest `h/(|V| + h)` of a lobe of a solid thing that is drawn in its plane, where its stencil says; rounder ones are drawn facing the receiver.
+/// A half sphere has 0.55. At 0.3 sr, the street has an error of 8.0 % with 0.25, of 2.9 % with 0.7 and the same with 1.
+const SOLID_FLAT_WIDTH: f32 = 0.7;
+
+/// The same for sheets, whose parts lie in no plane where their normals differ: leaves. 0.05 and 0.25 change errors by a tenth of themselves.
+const SHEET_FLAT_WIDTH: f32 = 0.1;
+
 /// Largest code of `h/(|V| + h)` of a plane: normals of a few degrees' scatter.
 const PLANE_WIDTH_CODE: u8 = 3;
 
@@ -14,6 +21,9 @@ const FILLED_CODE: u8 = 121;
 
 /// Bit of the fill's byte: the surfels are loose.
 const LOOSE_BIT: u8 = 0x80;
+
+/// Largest clumping index that is stored.
+const CLUMPING_MAX: f32 = 2.0;
 
 /// Steps of a fill.
 const FILL_STEPS: f32 = 127.0;
@@ -43,7 +53,7 @@ pub struct Lobe {
     /// a share of how far the box reaches in that direction, −1..=1.
     pub height: f32,
     /// Area of the surfels, seen along `vector`, over that of what the stencil leaves of the section of the box by that plane, 0..=1. Of
-    /// loose ones, the share of it that they cover.
+    /// loose ones, the share of it that they cover; of a sheet that is not flat, half of its node's clumping index.
     pub fill: f32,
     /// Whether the surfels make no surface: they lie anywhere, and hide each other at random.
     pub is_loose: bool,
@@ -65,6 +75,35 @@ impl Lobe {
     #[inline(always)]
     pub fn back_area(&self, d: Vec3) -> f32 {
         if self.blocks_back { self.front_area(-d) } else { 0.0 }
+    }
+
+    /// Whether the surfels are drawn as a piece of their plane.
+    #[must_use]
+    #[inline(always)]
+    pub fn is_flat(&self) -> bool {
+        let is_solid = self.blocks_back && !self.is_loose;
+        let flat_width = if is_solid { SOLID_FLAT_WIDTH } else { SHEET_FLAT_WIDTH };
+        self.width <= flat_width * (self.vector.length() + self.width)
+    }
+
+    /// Whether the surfels have one side only, and make surfaces: two such back to back are a leaf, or cloth.
+    #[must_use]
+    #[inline(always)]
+    pub fn is_sheet(&self) -> bool {
+        !self.blocks_back && !self.is_loose
+    }
+
+    /// The clumping index of the node of a sheet that is not flat: which share of its optical depth would, in a turbid medium that fills the node's box, cover
+    /// as much as the sheets do (Nilson 1971).
+    #[must_use]
+    #[inline(always)]
+    pub fn clumping(&self) -> f32 {
+        CLUMPING_MAX * self.fill
+    }
+
+    /// Sets [`Self::clumping`], or the largest that can be stored.
+    pub fn set_clumping(&mut self, clumping: f32) {
+        self.fill = (clumping / CLUMPING_MAX).clamp(0.0, 1.0);
     }
 
     /// Whether a stored lobe is a plane that fills the section of its node's box: what is drawn for it is what is there.

@@ -50,26 +50,6 @@ impl Stencil {
         0x0303 << (16 * (index / 4) + 2 * (index % 4))
     }
 
-    /// Share of its covered cells that another covers, too.
-    #[must_use]
-    #[inline(always)]
-    pub fn share_in(self, other: Self) -> f32 {
-        (self.0 & other.0).count_ones() as f32 / self.0.count_ones().max(1) as f32
-    }
-
-    /// First column of its covered cells and one past the last, and the same of rows. Some cell is covered.
-    #[must_use]
-    #[inline(always)]
-    pub fn bounds(self) -> [[u32; 2]; 2] {
-        let mut columns = self.0 | self.0 >> 32;
-        columns |= columns >> 16;
-        columns = (columns | columns >> 8) & 0xff;
-        [
-            [columns.trailing_zeros(), 64 - columns.leading_zeros()],
-            [self.0.trailing_zeros() / 8, 8 - self.0.leading_zeros() / 8],
-        ]
-    }
-
     /// Share of the cells that are covered.
     #[must_use]
     #[inline]
@@ -264,24 +244,6 @@ mod tests {
     use super::*;
 
     const UNIT: Aabb = Aabb { min: Vec3::ZERO, max: Vec3::ONE };
-
-    #[test]
-    fn bounds_hold_all_covered_cells_and_shares_count_common_ones() {
-        for (r0, r1) in [(0u32, 8u32), (2, 3), (1, 6), (7, 8)] {
-            for (c0, c1) in [(0u32, 8u32), (0, 1), (3, 7), (7, 8)] {
-                let row = ((1u64 << c1) - (1 << c0)) * 0x0101_0101_0101_0101;
-                let rows = |r: u32| if r == 8 { u64::MAX } else { (1 << (8 * r)) - 1 };
-                let whole = Stencil(row & rows(r1) & !rows(r0));
-                assert_eq!(whole.bounds(), [[c0, c1], [r0, r1]]);
-                let corners = [r0, r1 - 1].map(|r| [c0, c1 - 1].map(|c| 1u64 << (8 * r + c)));
-                let two = Stencil(corners[0][0] | corners[1][1]);
-                assert_eq!(two.bounds(), whole.bounds());
-                assert_eq!((two.share_in(whole), two.share_in(Stencil(!whole.0))), (1.0, 0.0));
-                let common = two.0.count_ones() as f32 / whole.0.count_ones() as f32;
-                assert_eq!(whole.share_in(two), common);
-            }
-        }
-    }
 
     #[test]
     fn narrow_stencils_come_back() {
