@@ -78,22 +78,18 @@ impl SheetCover {
     }
 
     /// What surfels of a leaf cover together, if there are any.
-    pub fn of_surfels<'s>(sheets: impl Iterator<Item = &'s Surfel> + Clone) -> Option<Self> {
-        let mut bounds = Aabb::EMPTY;
-        for surfel in sheets.clone() {
-            let (corners, count) = corners(surfel);
-            bounds = bounds.union(Aabb::from_points(corners[..count].iter().copied()));
-        }
-        let mut found = Self::around(bounds)?;
+    pub fn of_surfels<'s>(sheets: impl Iterator<Item = &'s Surfel>) -> Option<Self> {
+        let outlines: Vec<Outline> = sheets.map(Outline::of).collect();
+        let corners = outlines.iter().flat_map(|outline| outline.corners());
+        let mut found = Self::around(Aabb::from_points(corners.copied()))?;
         let (first, scale) = ([0, 1, 2].map(|axis| found.first(axis) as f64), 1.0 / found.spacing);
-        for surfel in sheets {
-            let (facing, (corners, count)) = (VIEWS * surfel.normal(), corners(surfel));
-            for view in (0..COUNT).filter(|view| facing[*view] > 0.0) {
+        for outline in &outlines {
+            for view in (0..COUNT).filter(|view| outline.facing[*view] > 0.0) {
                 let at = |corner: Vec3| {
                     let place = |axis: usize| f64::from(corner[axis]) * scale - first[axis];
                     Self::across(view).map(|axis| place(axis) as f32)
                 };
-                set_met(&mut found.met[view], &corners.map(at)[..count]);
+                set_met(&mut found.met[view], &outline.corners.map(at)[..outline.count]);
             }
         }
         Some(found)
@@ -141,51 +137,65 @@ impl SheetCover {
     pub fn clumping(&self, lobes: &[LobeSum], bounds: &Aabb) -> f32 {
         let half = bounds.extent() * 0.5;
         let half = half.max(Vec3::splat(1e-3 * half.max_element()));
-        let (mut loose, mut spread) = (0.0, 0.0);
+        let (mut round, mut flat) = (Vec::new(), Vec::new());
+        for lobe in lobes.iter().filter(|lobe| lobe.is_sheet()) {
+            let shown = lobe.to_lobe(bounds);
+            match shown.is_flat() {
+                true => flat.push((shown, (lobe.covered / lobe.area) as f32)),
+                false => round.push(shown),
+            }
+        }
+        if round.is_empty() {
+            return 1.0;
+        }
+        let (mut area, mut spread) = (0.0, 0.0);
         for view in 0..COUNT {
             let direction = VIEWS.transpose().col(view);
             let silhouette = box_silhouette(half, direction);
-            let (mut open, mut rest) = (1.0, 0.0);
-            for lobe in lobes.iter().filter(|lobe| lobe.is_sheet()) {
-                let shown = lobe.to_lobe(bounds);
-                let area = shown.front_area(direction);
-                if shown.is_flat() {
-                    let single = (lobe.covered / lobe.area) as f32;
-                    open *= 1.0 - (area * single / silhouette).min(COVERED_MAX);
-                } else {
-                    rest += area;
-                }
-            }
+            let share = |area: f32| (area / silhouette).min(COVERED_MAX);
+            let flat = flat.iter().map(|(lobe, single)| lobe.front_area(direction) * single);
+            let open: f32 = flat.map(|area| 1.0 - share(area)).product();
             let left = (1.0 - self.covered(view) / silhouette) / open;
             spread -= silhouette * left.clamp(1.0 - COVERED_MAX, 1.0).ln();
-            loose += rest;
+            area += round.iter().map(|lobe| lobe.front_area(direction)).sum::<f32>();
         }
-        if loose > 0.0 { spread / loose } else { 1.0 }
+        if area > 0.0 { spread / area } else { 1.0 }
     }
 }
 
-/// Corners of a surfel's outline in the frame of the views, and their number; of a disk, those of a square of its area.
-fn corners(surfel: &Surfel) -> ([Vec3; 4], usize) {
-    let (normal, center) = (surfel.normal(), surfel.center());
-    let (tile, foot) = (surfel.tile(), surfel.foot());
-    let turned = |corner: Vec3| VIEWS * (center + corner);
-    if tile.is_known() && foot.is_known() {
-        let [along, left] = tile.axes(normal);
-        let base = triangle_base(surfel.radius, surfel.area, foot.share());
-        let height = 2.0 * surfel.area / base;
-        let [a, b, c] =
-            triangle_corners(base, height, foot.share()).map(|[x, y]| turned(along * x + left * y));
-        return ([a, b, c, c], 3);
-    }
-    let (edges, half) = match tile.is_known() {
-        true => (tile.edges(normal), rectangle_half_edges(surfel.radius, surfel.area)),
-        false => {
-            let (tangent, bitangent) = normal.any_orthonormal_pair();
-            ([tangent, bitangent], [0.5 * surfel.area.sqrt(); 2])
+/// A surfel's outline in the frame of the views; of a disk, that of a square of its area.
+struct Outline {
+    corners: [Vec3; 4],
+    count: usize,
+    /// Cosines between its normal and the views.
+    facing: Vec3,
+}
+
+impl Outline {
+    fn of(surfel: &Surfel) -> Self {
+        let (normal, center) = (surfel.normal(), surfel.center());
+        let (tile, foot) = (surfel.tile(), surfel.foot());
+        let (facing, turned) = (VIEWS * normal, |corner: Vec3| VIEWS * (center + corner));
+        if tile.is_known() && foot.is_known() {
+            let [along, left] = tile.axes(normal);
+            let base = triangle_base(surfel.radius, surfel.area, foot.share());
+            let height = 2.0 * surfel.area / base;
+            let [a, b, c] = triangle_corners(base, height, foot.share())
+                .map(|[x, y]| turned(along * x + left * y));
+            return Self { corners: [a, b, c, c], count: 3, facing };
         }
-    };
-    let (along, across) = (edges[0] * half[0], edges[1] * half[1]);
-    ([along + across, across - along, -along - across, along - across].map(turned), 4)
+        let (edges, half) = match tile.is_known() {
+            true => (tile.edges(normal), rectangle_half_edges(surfel.radius, surfel.area)),
+            false => (normal.any_orthonormal_pair().into(), [0.5 * surfel.area.sqrt(); 2]),
+        };
+        let (along, across) = (edges[0] * half[0], edges[1] * half[1]);
+        let corners = [along + across, across - along, -along - across, along - across];
+        Self { corners: corners.map(turned), count: 4, facing }
+    }
+
+    fn corners(&self) -> &[Vec3] {
+        &self.corners[..self.count]
+    }
 }
 
 /// The even bits, side by side.
@@ -202,7 +212,11 @@ fn set_met(rows: &mut Met, corners: &[[f32; 2]]) {
     let ends = corners.iter().fold([f32::MAX, f32::MIN], |[low, high], corner| {
         [low.min(corner[1]), high.max(corner[1])]
     });
-    let line = |x: f32| (x.ceil().max(0.0) as usize).min(LINES);
+    // The next whole number, which rounding toward 0 finds faster than `ceil` does.
+    let line = |x: f32| {
+        let whole = x as usize;
+        (whole + usize::from((whole as f32) < x)).min(LINES)
+    };
     let (first, end) = (line(ends[0]), line(ends[1]));
     for (row, bits) in rows.iter_mut().enumerate().take(end).skip(first) {
         let height = row as f32;
