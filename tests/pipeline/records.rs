@@ -201,6 +201,32 @@ fn records_serve_the_chunks_that_follow() {
     assert!(second < first * 2 / 3, "{first} {second}");
 }
 
+/// Records left by a chunk that saw next to nothing reach over the next one, below a ball: they do not serve where its own records tell otherwise.
+#[test]
+fn records_give_way_where_those_of_other_chunks_disagree() {
+    let (_folder, below_ball) = bake_and_open(&ball(), &BuildOptions::default());
+    let bead = |mut surfel: Surfel| {
+        surfel.position = surfel.position.map(|x| 0.05 * x);
+        (surfel.radius, surfel.area) = (0.05 * surfel.radius, 0.0025 * surfel.area);
+        surfel
+    };
+    let beads: Vec<Surfel> = ball().into_iter().map(bead).collect();
+    let (_folder, below_bead) = bake_and_open(&beads, &BuildOptions::default());
+    let is_left = |receiver: &Receiver| receiver.position.x < 0.0;
+    let (left, right): (Vec<Receiver>, Vec<Receiver>) = floor(60).into_iter().partition(is_left);
+    let options = options(TOLERANCE);
+    let mut kept = KeptRecords::default();
+    shade_in_two(&below_bead, &left, &options, &mut kept);
+    let (shared, _) = shade_in_two(&below_ball, &right, &options, &mut kept);
+    let (alone, _) = shade_receivers(&below_ball, None, &right, &self::options(0.0)).unwrap();
+    let errors = shared.iter().zip(&alone).map(|(shared, alone)| {
+        (shared.ambient_occlusion - alone.ambient_occlusion).abs() / alone.ambient_occlusion
+    });
+    let wrong = errors.filter(|error| *error > TOLERANCE).count();
+    // Along the border, where records of both are near; where none gave way, all would be.
+    assert!(wrong < right.len() / 50, "{wrong} of {}", right.len());
+}
+
 #[test]
 fn sharing_stops_when_asked_to() {
     let surfels = ball();

@@ -63,7 +63,7 @@ impl SheetCover {
         let widest = f64::from(bounds.extent().max_element()) / (LINES - 1) as f64;
         // A lattice that is much finer than coordinates tells nothing.
         let least = widest.max(farthest * LATTICE_MIN).max(f64::from(f32::MIN_POSITIVE));
-        Some(Self { bounds, spacing: least.log2().ceil().exp2(), met: [[0; LINES]; COUNT] })
+        Some(Self { bounds, spacing: power_of_two(least), met: [[0; LINES]; COUNT] })
     }
 
     /// Number of the first line along an axis that its box meets.
@@ -105,7 +105,7 @@ impl SheetCover {
 
     /// Adds what a part meets of the lines.
     fn add(&mut self, part: &Self) {
-        let halvings = (self.spacing / part.spacing).log2().round() as u32;
+        let halvings = exponent(self.spacing) - exponent(part.spacing);
         for view in 0..COUNT {
             let [u, v] = Self::across(view);
             let (mut column, mut first_row) = (part.first(u), part.first(v));
@@ -129,11 +129,11 @@ impl SheetCover {
         }
     }
 
-    /// The clumping index of the sheets of a node with these lobes and this box, if any: which share of its optical depth would, in a turbid medium that fills
-    /// the box, cover as much as is covered (Nilson 1971).
+    /// The clumping index of the sheets of a node with these lobes and this box: which share of the optical depth of those that are not flat would, in a turbid
+    /// medium that fills the box, cover as much as is covered (Nilson 1971); 1 if all are flat.
     ///
-    /// The largest flat sheet that faces a view hides as it is, and boards do; the rest, of area *R*, covers *C* of what these leave open of the silhouette *S*: *C* =
-    /// 1 − e^(−Ω *R*/*S*). Ω *R* is the sum of that over all views.
+    /// Where the silhouette has the area *S*, the flat ones leave Π (1 − *F*ᵢ/*S*) of it open, and the others, which show the area *R*, e^(−Ω *R*/*S*) of that. Ω is such
+    /// that the sum of Ω *R* over all views is right.
     pub fn clumping(&self, lobes: &[LobeSum], bounds: &Aabb) -> f32 {
         let half = bounds.extent() * 0.5;
         let half = half.max(Vec3::splat(1e-3 * half.max_element()));
@@ -161,6 +161,17 @@ impl SheetCover {
         }
         if area > 0.0 { spread / area } else { 1.0 }
     }
+}
+
+/// Exponent of a power of two as it is stored.
+fn exponent(power: f64) -> u64 {
+    power.to_bits() >> (f64::MANTISSA_DIGITS - 1)
+}
+
+/// The least power of two that is no less than this, which is above 0.
+fn power_of_two(least: f64) -> f64 {
+    let low = f64::from_bits(exponent(least) << (f64::MANTISSA_DIGITS - 1));
+    if low < least { 2.0 * low } else { low }
 }
 
 /// A surfel's outline in the frame of the views; of a disk, that of a square of its area.
