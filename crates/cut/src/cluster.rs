@@ -119,9 +119,8 @@ impl Cluster {
     /// Evaluates the lobes of a node with this box, relative to a receiver at `position`.
     ///
     /// Opaque surfaces enclose things: the areas their fronts show do not overlap, and add up; their backs are behind
-    /// their fronts. Sheets (front-only surfels back to back: leaves, cloth) do overlap, unless they are one flat
-    /// piece: only the largest flat lobe is taken as it is and the rest hides itself as a cloud of
-    /// random pieces does, covering `1 − e^−τ` where its area is `τ` times the box's silhouette.
+    /// their fronts. Sheets (front-only surfels back to back: leaves, cloth) do overlap: flat ones are drawn as they are, round ones
+    /// hide each other as the node's clumping index tells.
     #[inline(always)]
     pub(crate) fn see(
         &mut self,
