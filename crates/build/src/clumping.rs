@@ -225,8 +225,9 @@ fn set_met(rows: &mut Met, corners: &[[f32; 2]]) {
     });
     // The next whole number, which rounding toward 0 finds faster than `ceil` does.
     let line = |x: f32| {
+        let x = x.min(LINES as f32);
         let whole = x as usize;
-        (whole + usize::from((whole as f32) < x)).min(LINES)
+        whole + usize::from((whole as f32) < x)
     };
     let (first, end) = (line(ends[0]), line(ends[1]));
     for (row, bits) in rows.iter_mut().enumerate().take(end).skip(first) {
@@ -234,7 +235,7 @@ fn set_met(rows: &mut Met, corners: &[[f32; 2]]) {
         let (mut low, mut high) = (f32::MAX, f32::MIN);
         for (i, a) in corners.iter().enumerate() {
             let b = corners[(i + 1) % corners.len()];
-            if (a[1] < height) != (b[1] < height) {
+            if (a[1] <= height) != (b[1] <= height) {
                 let at = a[0] + (b[0] - a[0]) * (height - a[1]) / (b[1] - a[1]);
                 (low, high) = (low.min(at), high.max(at));
             }
@@ -364,6 +365,27 @@ mod tests {
         }
         let bunched = clumping(&bunch);
         assert!(bunched < 0.5 * even, "{bunched}, {even}");
+    }
+
+    #[test]
+    fn only_lines_inside_are_met() {
+        let met = |corners: &[[f32; 2]]| {
+            let mut rows = [0; LINES];
+            set_met(&mut rows, corners);
+            rows
+        };
+        let square = |low: f32, high: f32| [[low, low], [high, low], [high, high], [low, high]];
+        let mut expected = [0; LINES];
+        expected[2..5].fill(0b1_1100);
+        assert_eq!(met(&square(1.5, 4.5)), expected);
+        assert_eq!(met(&square(2.0, 5.0)), expected);
+        // Between two lines, outside, without an area, and all of them.
+        for nothing in [square(1.2, 1.8), square(-9.0, -1.0), square(40.0, 1e30), square(3.0, 3.0)]
+        {
+            assert_eq!(met(&nothing), [0; LINES], "{nothing:?}");
+        }
+        assert_eq!(met(&square(-1e30, 1e30)), [u32::MAX; LINES]);
+        assert_eq!(met(&square(f32::NAN, f32::NAN)), [0; LINES]);
     }
 
     #[test]
