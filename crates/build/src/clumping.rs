@@ -368,6 +368,20 @@ mod tests {
     }
 
     #[test]
+    fn sheets_of_any_size_and_place_are_summed() {
+        let mut sum: Option<SheetCover> = None;
+        for (place, size) in [(0.0, 1e-20), (1e-12, 1e-18), (3.0, 1e-9), (2e9, 1e-3), (-2e9, 2e9)] {
+            let surfels = leaf(Vec3::new(place, 0.5 * place, -place), Vec3::Y, size * size);
+            let part = SheetCover::of_surfels(surfels.iter()).unwrap();
+            let parts: Vec<SheetCover> = sum.into_iter().chain([part]).collect();
+            let both = SheetCover::of_parts(parts.iter()).unwrap();
+            assert!(covered(&both).iter().all(|area| area.is_finite()), "{place} {size}");
+            assert!(parts.iter().all(|part| part.spacing <= both.spacing));
+            sum = Some(both);
+        }
+    }
+
+    #[test]
     fn only_lines_inside_are_met() {
         let met = |corners: &[[f32; 2]]| {
             let mut rows = [0; LINES];
