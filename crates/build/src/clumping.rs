@@ -2,9 +2,7 @@
 
 use crate::lobe_sum::LobeSum;
 use pbgi_cloud::Surfel;
-use pbgi_math::{
-    Aabb, Mat3, Vec3, box_silhouette, rectangle_half_edges, triangle_base, triangle_corners,
-};
+use pbgi_math::{Aabb, Mat3, Vec3, box_silhouette, thick_half};
 
 /// Directions along which is looked what sheets cover: at right angles to each other, and along no axis, as what people build is.
 const VIEWS: Mat3 = Mat3::from_cols_array(&[
@@ -79,7 +77,7 @@ impl SheetCover {
 
     /// What surfels of a leaf cover together, if there are any.
     pub fn of_surfels<'s>(sheets: impl Iterator<Item = &'s Surfel>) -> Option<Self> {
-        let outlines: Vec<Outline> = sheets.map(Outline::of).collect();
+        let outlines: Vec<TurnedOutline> = sheets.map(TurnedOutline::of).collect();
         let corners = outlines.iter().flat_map(|outline| outline.corners());
         let mut found = Self::around(Aabb::from_points(corners.copied()))?;
         let (first, scale) = ([0, 1, 2].map(|axis| found.first(axis) as f64), 1.0 / found.spacing);
@@ -135,8 +133,7 @@ impl SheetCover {
     /// Where the silhouette has the area *S*, the flat ones leave Π (1 − *F*ᵢ/*S*) of it open, and the others, which show the area *R*, e^(−Ω *R*/*S*) of that. Ω is such
     /// that the sum of Ω *R* over all views is right.
     pub fn clumping(&self, lobes: &[LobeSum], bounds: &Aabb) -> f32 {
-        let half = bounds.extent() * 0.5;
-        let half = half.max(Vec3::splat(1e-3 * half.max_element()));
+        let half = thick_half(bounds.min, bounds.max);
         let (mut round, mut flat) = (Vec::new(), Vec::new());
         for lobe in lobes.iter().filter(|lobe| lobe.is_sheet()) {
             let shown = lobe.to_lobe(bounds);
@@ -175,31 +172,24 @@ fn power_of_two(least: f64) -> f64 {
 }
 
 /// A surfel's outline in the frame of the views; of a disk, that of a square of its area.
-struct Outline {
+struct TurnedOutline {
     corners: [Vec3; 4],
     count: usize,
     /// Cosines between its normal and the views.
     facing: Vec3,
 }
 
-impl Outline {
+impl TurnedOutline {
     fn of(surfel: &Surfel) -> Self {
-        let (normal, center) = (surfel.normal(), surfel.center());
-        let (tile, foot) = (surfel.tile(), surfel.foot());
-        let (facing, turned) = (VIEWS * normal, |corner: Vec3| VIEWS * (center + corner));
-        if tile.is_known() && foot.is_known() {
-            let [along, left] = tile.axes(normal);
-            let base = triangle_base(surfel.radius, surfel.area, foot.share());
-            let height = 2.0 * surfel.area / base;
-            let [a, b, c] = triangle_corners(base, height, foot.share())
-                .map(|[x, y]| turned(along * x + left * y));
-            return Self { corners: [a, b, c, c], count: 3, facing };
+        let turned = |corner: Vec3| VIEWS * (surfel.center() + corner);
+        let facing = VIEWS * surfel.normal();
+        if let Some([a, b, c]) = surfel.corners() {
+            return Self { corners: [a, b, c, c].map(turned), count: 3, facing };
         }
-        let (edges, half) = match tile.is_known() {
-            true => (tile.edges(normal), rectangle_half_edges(surfel.radius, surfel.area)),
-            false => (normal.any_orthonormal_pair().into(), [0.5 * surfel.area.sqrt(); 2]),
-        };
-        let (along, across) = (edges[0] * half[0], edges[1] * half[1]);
+        let [along, across] = surfel.half_edges().unwrap_or_else(|| {
+            let (tangent, bitangent) = surfel.normal().any_orthonormal_pair();
+            [tangent, bitangent].map(|edge| edge * (0.5 * surfel.area.sqrt()))
+        });
         let corners = [along + across, across - along, -along - across, along - across];
         Self { corners: corners.map(turned), count: 4, facing }
     }

@@ -1,10 +1,10 @@
 //! What a node shows to a receiver.
 
-use crate::lobe::{KnownLobe, thick_half};
+use crate::lobe::KnownLobe;
 use pbgi_format::LOBES_MAX;
 use pbgi_math::{
     Stencil, Vec3, box_silhouette, central_section_area, larger, patch_solid_angle_factor,
-    scramble, stencil_axis,
+    scramble, stencil_axis, thick_half,
 };
 use std::f32::consts::FRAC_1_PI;
 
@@ -134,13 +134,17 @@ impl Cluster {
         let toward_receiver = center * -inverse_distance;
         let mut shown = [Shown::default(); LOBES_MAX];
         let mut order = [NOT_DRAWN; LOBES_MAX];
-        let mut areas = Areas::default();
+        let (mut areas, mut section) = (Areas::default(), None);
         for (number, lobe) in lobes.iter().enumerate() {
             let seen = &mut shown[number];
             if lobe.is_flat {
                 see_flat(seen, lobe, lobe.point - position);
             } else {
-                see_round(seen, lobe, center, half, toward_receiver);
+                let section = match section {
+                    Some(section) => section,
+                    None => *section.insert(FacingSection::new(half, center, toward_receiver)),
+                };
+                see_round(seen, lobe, center, toward_receiver, section);
             }
             if seen.area > 0.0 {
                 order[number] = u64::from(seen.distance2.to_bits()) << 32 | number as u64;
@@ -328,30 +332,44 @@ fn see_flat(seen: &mut Shown, known: &KnownLobe, point: Vec3) {
         area: if lobe.is_loose { front + back } else { area * covered },
         // Behind the mean plane of a bent surface, some of it still turns its front to the receiver.
         shining: if is_front { 1.0 } else { front / back },
-        is_sheet: !lobe.blocks_back && !lobe.is_loose,
+        is_sheet: lobe.is_sheet(),
         is_flat: true,
         is_front,
         is_loose: lobe.is_loose,
     };
 }
 
-/// Mean of *d*²/|**p**|² over the points **p** of a box whose middle is at the distance *d*, to the second order: 1 + σ²/*d*², with the mean variance σ² of
-/// points along an axis.
-#[inline(always)]
-fn mean_nearness(half: Vec3, distance2: f32) -> f32 {
-    1.0 + half.length_squared() * (1.0 / 9.0) / distance2
+/// The section of a node's box through its middle that faces the receiver.
+#[derive(Clone, Copy)]
+struct FacingSection {
+    /// Area over which it is seen, were it all as near as its middle, to the second order: its rim is farther, and slanted. That of a disk of its area.
+    seen_area: f32,
+    /// Mean of *d*²/|**p**|² over the points **p** of the box, *d* the distance of its middle, to the second order: 1 + σ²/*d*², with the mean variance σ² of
+    /// points along an axis.
+    nearness: f32,
 }
 
-/// Area over which a section that faces the receiver is seen, were it all as near as its middle, to the second order: its rim is farther, and slanted. That of
-/// a disk of this area.
-#[inline(always)]
-fn seen_section(section: f32, distance2: f32) -> f32 {
-    section / (1.0 + section * (0.75 * FRAC_1_PI) / distance2)
+impl FacingSection {
+    #[inline(always)]
+    fn new(half: Vec3, center: Vec3, toward_receiver: Vec3) -> Self {
+        let (area, distance2) =
+            (central_section_area(half, toward_receiver), center.length_squared());
+        Self {
+            seen_area: area / (1.0 + area * (0.75 * FRAC_1_PI) / distance2),
+            nearness: 1.0 + half.length_squared() * (1.0 / 9.0) / distance2,
+        }
+    }
 }
 
 /// What a round lobe shows, a section through the middle of its box that faces the receiver.
 #[inline(always)]
-fn see_round(seen: &mut Shown, known: &KnownLobe, center: Vec3, half: Vec3, toward_receiver: Vec3) {
+fn see_round(
+    seen: &mut Shown,
+    known: &KnownLobe,
+    center: Vec3,
+    toward_receiver: Vec3,
+    section: FacingSection,
+) {
     let lobe = &known.lobe;
     let ([front, back], distance2, inverse_distance) = sides(known, center);
     let area = if lobe.is_loose { front + back } else { front.max(back) };
@@ -359,17 +377,16 @@ fn see_round(seen: &mut Shown, known: &KnownLobe, center: Vec3, half: Vec3, towa
     if !(area > 0.0) {
         return;
     }
-    let section = central_section_area(half, toward_receiver);
-    let nearness = mean_nearness(half, distance2);
+    let FacingSection { seen_area, nearness } = section;
     *seen = Shown {
         inverse: toward_receiver * -inverse_distance,
         solid_angle: if is_front { front } else { back } * nearness / distance2,
         cosine: 1.0,
         distance2,
-        opacity: area * nearness / seen_section(section, distance2),
+        opacity: area * nearness / seen_area,
         area,
         shining: f32::from(is_front),
-        is_sheet: !lobe.blocks_back && !lobe.is_loose,
+        is_sheet: lobe.is_sheet(),
         is_flat: false,
         is_front,
         is_loose: lobe.is_loose,
@@ -380,10 +397,13 @@ fn see_round(seen: &mut Shown, known: &KnownLobe, center: Vec3, half: Vec3, towa
 /// index Ω tells how much. Flat ones are drawn as they are: where they overlap, the raster finds.
 #[inline(always)]
 fn thin_sheets(shown: &mut ShownLobes, lobes: &[KnownLobe], total: f32, silhouette: f32) {
-    let is_round = |(seen, _): &(&mut Shown, &KnownLobe)| seen.is_sheet && !seen.is_flat;
-    for (seen, known) in shown.iter_mut().zip(lobes).filter(is_round) {
-        let depth = known.lobe.clumping() * total / silhouette;
-        let kept = (silhouette * (1.0 - (-depth).exp()) / total).min(1.0);
+    let is_round = |seen: &Shown| seen.is_sheet && !seen.is_flat;
+    // All of a node have the same index.
+    let first = shown.iter().zip(lobes).find(|(seen, _)| is_round(seen));
+    let Some((_, known)) = first else { return };
+    let depth = known.lobe.clumping() * total / silhouette;
+    let kept = (silhouette * (1.0 - (-depth).exp()) / total).min(1.0);
+    for seen in shown.iter_mut().filter(|seen| is_round(seen)) {
         seen.opacity *= kept;
         seen.solid_angle *= kept;
     }

@@ -1,7 +1,7 @@
 //! A lobe of a node: what of it does not depend on the receiver.
 
 use pbgi_format::Lobe;
-use pbgi_math::{Aabb, Stencil, Vec3, central_section_area, stencil_axis};
+use pbgi_math::{Aabb, Stencil, Vec3, central_section_area, stencil_axis, thick_half};
 
 /// A lobe of a node: what of it does not depend on the receiver.
 #[derive(Clone, Copy, Debug, Default)]
@@ -27,16 +27,6 @@ const LOOSE_FILL_MAX: f32 = 1.0 - 0.5 / 127.0;
 
 /// Fill from which on a sheet is one layer: with less, its parts lie above each other.
 const SHEET_WHOLE: f32 = 0.95;
-
-/// Thickness of a flat box, as a share of its largest edge; known to the builder.
-const THICKNESS: f32 = 1e-3;
-
-/// Half the extents of a box, thick enough to be cut by planes.
-#[inline(always)]
-pub(crate) fn thick_half(low: Vec3, high: Vec3) -> Vec3 {
-    let half = (high - low) * 0.5;
-    half.max(Vec3::splat(THICKNESS * half.max_element()))
-}
 
 impl KnownLobe {
     /// A lobe of the node with this box.

@@ -26,7 +26,7 @@ pub use octahedral::{
     decode_octahedral24, encode_octahedral, encode_octahedral24, narrow_octahedral24,
 };
 pub use rgbe::SharedExponent;
-pub use section::{central_section_area, section_area};
+pub use section::{central_section_area, section_area, thick_half};
 pub use sh::{SH_COUNT, Sh9, clamped_cosine_sh, evaluate_sh_basis};
 pub use silhouette::box_silhouette;
 pub use solid_angle::{patch_solid_angle_factor, sphere_sin2_for_solid_angle, sphere_solid_angle};

@@ -6,6 +6,17 @@
 
 use glam::{DVec3, Vec3};
 
+/// Thickness of a flat box, as a share of its largest edge.
+const THICKNESS: f32 = 1e-3;
+
+/// Half the extents of a box, thick enough to be cut by planes.
+#[must_use]
+#[inline(always)]
+pub fn thick_half(low: Vec3, high: Vec3) -> Vec3 {
+    let half = (high - low) * 0.5;
+    half.max(Vec3::splat(THICKNESS * half.max_element()))
+}
+
 /// Area of the section of the box `−half..=half` by the plane `normal·x = height`.
 ///
 /// Extents below a millionth of the largest count as that.
