@@ -302,6 +302,7 @@ impl Differentiator {
         for number in 0..self.values.len() / LANES {
             let Some(chunk) = raster.chunk(number) else { continue };
             let texels = &self.texels[number];
+            let distant = environment.map(|environment| environment.seen(number, &chunk));
             for lane in 0..LANES {
                 let index = number * LANES + lane;
                 let above = raster.share_above(index);
@@ -316,9 +317,9 @@ impl Differentiator {
                         values[c] = chunk.radiance[c][lane] + lamp[c];
                     }
                 }
-                if let Some(environment) = environment {
+                if let Some(distant) = &distant {
                     for c in 0..3 {
-                        values[3 + c] = environment.channel(c)[index] * open;
+                        values[3 + c] = distant[c][lane] * open;
                     }
                 }
                 (values[OCCLUSION], values[SKY]) = (open, open);

@@ -3,7 +3,7 @@
 use pbgi_brdf::EnvironmentTexels;
 use pbgi_light::{Environment, EnvironmentPeak, EnvironmentPyramid};
 use pbgi_math::Vec3;
-use pbgi_raster::{CubeRasterTable, Window};
+use pbgi_raster::{CubeRasterTable, SAMPLE_CELLS, Window};
 use std::f32::consts::PI;
 
 /// A peak of the environment: the window its visibility is resolved in, and its light per texel.
@@ -76,7 +76,7 @@ impl PreparedLight {
             }
         });
         Self {
-            base: EnvironmentTexels::new(&table, &environment.base_texels(n)),
+            base: EnvironmentTexels::new(&table, &environment.base_texels(SAMPLE_CELLS * n)),
             peaks: peaks.collect(),
             pyramid,
         }

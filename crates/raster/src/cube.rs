@@ -46,6 +46,8 @@ pub struct TexelChunk {
     pub is_open: bool,
     /// Whether anything of it holds light; `radiance` is 0 if not.
     pub is_lit: bool,
+    /// Samples of each texel that nothing covers, above the horizon.
+    pub open_samples: [u16; LANES],
     /// Share of each texel, above the horizon, that surfaces cover; 0 where nothing of the chunk is open.
     pub covered: [f32; LANES],
     /// How far the middle of what is open lies from the middle of what is above the horizon, along u and v, in halves of a texel;
@@ -615,7 +617,7 @@ impl CubeRaster {
         let (face_texels, shines, keeps_depths) = (*n * *stride, *shines, *keeps_depths);
         let keeps_backs = *keeps_backs;
         let (stride_log2, in_row) = (rows.stride_log2, *stride - 1);
-        let opaque = ink.veil.is_opaque();
+        let (opaque, veil) = (ink.veil.is_opaque(), ink.veil.pattern());
         let nearer = L::splat(1.0 + ink.tolerance);
         let mut met_count = 0;
         for &WordOfTexels { face, word, texels } in looked_at.iter() {
@@ -643,7 +645,7 @@ impl CubeRaster {
                 let inside = found.inside;
                 met_count += inside.count_ones();
                 let (before, depths) = (covered[index], &mut depths[index]);
-                let inked = if opaque { met } else { met & ink.veil.samples(index) };
+                let inked = if opaque { met } else { met & veil.samples(index) };
                 let new = inked & !before;
                 if shines {
                     let (above, old) = (above[index], L::load(depths));
@@ -795,8 +797,9 @@ impl CubeRaster {
         let is_open = *covered != [ALL; LANES];
         let mut chunk = TexelChunk { is_open, ..TexelChunk::default() };
         if chunk.is_open {
+            chunk.open_samples = covered.map(|covered| !covered);
             for lane in 0..LANES {
-                let open = (!covered[lane]).count_ones() as f32;
+                let open = chunk.open_samples[lane].count_ones() as f32;
                 let all = divisor(above[lane]);
                 chunk.covered[lane] = 1.0 - open / all;
             }

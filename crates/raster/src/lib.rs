@@ -21,7 +21,7 @@ pub use cube::{CubeRaster, FootprintCode, Ink, NO_FOOTPRINT_CODE, TexelChunk};
 pub use lamp::{LAMPS, LampSeen, NO_LAMP};
 pub use lanes::{Lanes, SAMPLES};
 pub use lobe::{LobeInk, LobeRaster};
-pub use samples::Veil;
+pub use samples::{SAMPLE_CELLS, SAMPLE_OF_CELL, Veil};
 pub use shape::{Disk, Met, Place, Section, Shape, Tile, Triangle};
 pub use simd::{SimdLevel, WideKernel, run_wide};
 pub use table::{CubeRasterTable, LANES, row_stride};

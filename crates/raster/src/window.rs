@@ -189,7 +189,7 @@ impl WindowRaster {
     /// Draws a shape: texels whose middle meets it before their light are covered, as far as the veil does.
     #[inline(always)]
     pub fn draw<L: Lanes, S: Shape>(&mut self, window: &Window, shape: &S, veil: &Veil) {
-        let inverse = shape.inverse();
+        let (inverse, pattern) = (shape.inverse(), veil.pattern());
         let mut open = 0;
         for (group, (covered, d)) in self.covered.iter_mut().zip(&window.directions).enumerate() {
             if *covered == u16::MAX {
@@ -200,7 +200,7 @@ impl WindowRaster {
             if let Some(lamps) = self.lamps.get(group) {
                 met &= !L::bits(w.le(L::load(&lamps.depths)));
             }
-            *covered |= if veil.is_opaque() { met } else { met & veil.samples(group) };
+            *covered |= if veil.is_opaque() { met } else { met & pattern.samples(group) };
             open |= !*covered;
         }
         self.is_closed = open == 0;
