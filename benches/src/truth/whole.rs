@@ -43,13 +43,15 @@ const PATHS: u32 = 1 << 16;
 const FINE: (f32, usize) = (0.01, 32);
 
 /// Settings from coarse to fine: solid angle, raster, share that interpolation may be wrong by.
-const LADDER: [(f32, usize, f32); 8] = [
+const LADDER: [(f32, usize, f32); 10] = [
     (1.0, 4, 0.4),
     (0.3, 4, 0.4),
     (1.5, 8, 0.2),
     (0.6, 8, 0.2),
+    (0.4, 8, 0.4),
     (0.3, 8, 0.2),
-    (0.15, 8, 0.4),
+    (0.15, 8, 0.2),
+    (0.1, 8, 0.4),
     (0.1, 16, 0.4),
     (0.03, 16, 0.1),
 ];

@@ -3,7 +3,7 @@
 use crate::diffuse::EnvironmentTexels;
 use crate::obstacles::Obstacles;
 use pbgi_math::{CubeFace, CubeTexel, Frame, Vec3, larger};
-use pbgi_raster::{CubeRaster, CubeRasterTable, LANES, Lanes};
+use pbgi_raster::{CubeRaster, CubeRasterTable, LANES, Lanes, SAMPLES};
 use std::f32::consts::PI;
 
 /// Quantities that are differentiated: irradiance from surfaces and from the environment, three channels each, ambient occlusion and sky
@@ -28,6 +28,9 @@ const STANDING_SINE: f32 = 0.5;
 
 /// Share of the distance to a thing at which it is near enough for anything: what looms is not followed farther.
 const NEARNESS_MIN: f32 = 0.05;
+
+/// Variance of how many of a texel's samples a straight border through it leaves on one side, in samples²; of leaves it is three times that.
+const EDGE_VARIANCE: f32 = 0.5;
 
 /// The border between two texels.
 #[derive(Clone, Copy, Debug)]
@@ -62,6 +65,9 @@ pub struct Differential {
     pub slope_sums: [f32; 2],
     /// What stands on the receiver's plane.
     pub obstacles: Obstacles,
+    /// Variance of ambient occlusion, and of the sum of all irradiance, as the borders of what is open meet samples here or there: surfaces shine by their
+    /// own solid angle.
+    pub variances: [f32; 2],
 }
 
 /// Eight texels.
@@ -255,6 +261,7 @@ impl Differentiator {
         found.translation[OCCLUSION] /= PI;
         found.rotation[OCCLUSION] /= PI;
         found.slope_sums[0] /= PI;
+        found.variances[0] /= PI * PI;
         found.translation[SKY] = sky / self.sky_sum_sr;
         // Turning the receiver turns no sky.
         found.rotation[SKY] = Vec3::ZERO;
@@ -327,13 +334,21 @@ impl Differentiator {
                 let direction = Vec3::new(x[lane], y[lane], z[lane]);
                 let weight = texels.lengths[lane] * above;
                 rotation.add(direction * weight, values);
+                let cosine = larger(direction.dot(normal), 0.0);
+                if open > 0.0 && open < 1.0 {
+                    let behind = distant.map_or(0.0, |light| sum_of_channels(&light, lane));
+                    for (variance, change) in found.variances.iter_mut().zip([1.0, behind]) {
+                        let of_sample = cosine * weight * change * (1.0 / SAMPLES as f32);
+                        *variance += EDGE_VARIANCE * of_sample * of_sample;
+                    }
+                }
                 let nearest = raster.nearest::<L>(index);
                 if nearest == 0.0 {
                     continue;
                 }
                 self.nearest[index] = nearest;
                 self.outlines[index] = if open > 0.0 { nearest } else { 0.0 };
-                let hidden = larger(direction.dot(normal), 0.0) * weight * (1.0 - open);
+                let hidden = cosine * weight * (1.0 - open);
                 let unseen = UNSEEN * hidden * nearest * texels.axial[lane];
                 found.slope_sums[0] += unseen;
                 found.slope_sums[1] += unseen * sum_of_light(values);
@@ -354,6 +369,12 @@ fn sum_of_light(values: &[f32; QUANTITIES]) -> f32 {
         sum += value;
     }
     sum
+}
+
+/// Sum of the channels of one of eight texels.
+#[inline(always)]
+fn sum_of_channels(light: &[[f32; LANES]; 3], lane: usize) -> f32 {
+    light[0][lane] + light[1][lane] + light[2][lane]
 }
 
 /// The borders of a texel to those with larger indices.
@@ -394,14 +415,19 @@ mod tests {
     use pbgi_raster::{SimdLevel, WideKernel, run_wide};
 
     /// Differentiates what is in a raster for a receiver with this normal.
-    struct Differentiate<'a>(&'a mut Differentiator, &'a CubeRaster, Vec3);
+    struct Differentiate<'a>(
+        &'a mut Differentiator,
+        &'a CubeRaster,
+        Vec3,
+        Option<&'a EnvironmentTexels>,
+    );
 
     impl WideKernel for Differentiate<'_> {
         type Output = Differential;
 
         #[inline(always)]
         fn run<L: Lanes>(self) -> Differential {
-            self.0.differentiate::<L>(self.1, None, [self.2; 2])
+            self.0.differentiate::<L>(self.1, self.3, [self.2; 2])
         }
     }
 
@@ -417,9 +443,9 @@ mod tests {
         run_wide(SimdLevel::Baseline, Draw(&mut raster, normal, &[(Vec3::X, low, high)]));
         let found = convolve_diffuse(&raster, &sums, None, [normal; 2]);
         let mut differentiator = Differentiator::new(&table, Vec3::Z);
-        let mut differentials = SimdLevel::available()
-            .into_iter()
-            .map(|level| run_wide(level, Differentiate(&mut differentiator, &raster, normal)));
+        let mut differentials = SimdLevel::available().into_iter().map(|level| {
+            run_wide(level, Differentiate(&mut differentiator, &raster, normal, None))
+        });
         let differential = differentials.next().unwrap();
         assert!(differentials.all(|other| other == differential));
         drop(differentials);
@@ -448,6 +474,46 @@ mod tests {
             let sum = found.slope_sums[0] / slope.abs();
             assert!(sum > 0.9 && sum < 4.0, "{height}: {sum}");
         }
+    }
+
+    /// Plates all around at random, found by rasters of 8 and of 64 texels a face: how far the two are apart is what the coarse one's variance tells.
+    #[test]
+    fn variances_tell_how_samples_fall() {
+        let tables = [CubeRasterTable::new(8), CubeRasterTable::new(64)];
+        let mut seed = 1u32;
+        let mut random = || {
+            seed = pbgi_math::scramble(seed);
+            (seed >> 8) as f32 / (1 << 24) as f32
+        };
+        let (mut error2, mut variance) = (0.0, 0.0);
+        for _ in 0..40 {
+            let plates: Vec<_> = (0..60)
+                .map(|_| {
+                    let [x, y, size] = [(); 3].map(|()| random());
+                    let center = Vec3::new(4.0 * x - 2.0, 4.0 * y - 2.0, 1.0);
+                    let half = Vec3::new(0.05 + 0.2 * size, 0.05 + 0.1 * size, 0.01);
+                    (Vec3::Z, center - half, center + half)
+                })
+                .collect();
+            let found = tables.each_ref().map(|table| {
+                let sums = ConvolutionTable::new(table, Vec3::Z);
+                let sky = vec![[2.0; 3]; 6 * table.edge() * table.edge() * SAMPLES];
+                let sky = EnvironmentTexels::new(table, &sky);
+                let mut raster = CubeRaster::new(table, true);
+                run_wide(SimdLevel::Baseline, Draw(&mut raster, Vec3::Z, &plates));
+                let mut differentiator = Differentiator::new(table, Vec3::Z);
+                let kernel = Differentiate(&mut differentiator, &raster, Vec3::Z, Some(&sky));
+                let [openness, light] = run_wide(SimdLevel::Baseline, kernel).variances;
+                // Three channels of 2, over π.
+                let radiance = (light / openness).sqrt() / PI;
+                assert!((radiance / 6.0 - 1.0).abs() < 1e-4, "{radiance} {light} {openness}");
+                (convolve_diffuse(&raster, &sums, None, [Vec3::Z; 2]).ambient_occlusion, openness)
+            });
+            error2 += (found[0].0 - found[1].0).powi(2);
+            variance += found[0].1;
+        }
+        let share = (error2 / variance).sqrt();
+        assert!(share > 0.8 && share < 1.4, "{share}");
     }
 
     #[test]
