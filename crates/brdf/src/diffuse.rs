@@ -40,8 +40,8 @@ impl EnvironmentTexels {
             }
             let mean = flux.map(|flux| flux / solid_angle);
             for (samples, mean) in samples.iter_mut().zip(mean) {
-                let sum: f32 = samples.iter().sum();
-                let scale = if sum > 0.0 { mean * SAMPLES as f32 / sum } else { 0.0 };
+                let of_samples: f32 = samples.iter().map(|x| x * (1.0 / SAMPLES as f32)).sum();
+                let scale = if of_samples > 0.0 { mean / of_samples } else { 0.0 };
                 *samples = samples.map(|radiance| radiance * scale);
             }
             (mean, samples)
@@ -404,7 +404,7 @@ pub(crate) mod tests {
         assert!(found.bent_normal.x < -0.4);
     }
 
-    /// Under a lid that is drawn away, a glare half as wide as a sample's cell is seen from where the lid's edge passes it, not by the share of its texel
+    /// Under a lid that is drawn away, a glare as wide as a sample's cell is seen from where the lid's edge passes it, not by the share of its texel
     /// that is open.
     #[test]
     fn a_glare_smaller_than_a_texel_is_seen_where_it_is() {
