@@ -14,15 +14,21 @@ use std::f32::consts::PI;
 pub struct EnvironmentTexels {
     /// Mean radiance of each texel.
     channels: [Vec<f32>; 3],
-    /// Radiance at its samples, whose mean is that of the texel.
+    /// Radiance at its samples, whose mean is that of the texel; none where they are as one.
     samples: Vec<[[f32; SAMPLES]; 3]>,
 }
 
 impl EnvironmentTexels {
-    /// From the mean radiance of each texel of `CubeMap::new(SAMPLE_CELLS * n)`, in its index order, for `n` texels a face in `table`.
+    /// From the mean radiance of each texel of `CubeMap::new(SAMPLE_CELLS * n)`, in its index order, for `n` texels a face in `table`; or of `CubeMap::new(n)`,
+    /// whose texels are then as one.
     #[must_use]
     pub fn new(table: &CubeRasterTable, cells: &[[f32; 3]]) -> Self {
         let n = table.edge();
+        if cells.len() == CubeMap::new(n).texel_count() {
+            let means = table.pad(cells);
+            let channels = std::array::from_fn(|c| means.iter().map(|mean| mean[c]).collect());
+            return Self { channels, samples: Vec::new() };
+        }
         let map = CubeMap::new(SAMPLE_CELLS * n);
         let of_texel = |index: usize| {
             let (row, column) = (index / n * SAMPLE_CELLS, index % n * SAMPLE_CELLS);
@@ -62,10 +68,11 @@ impl EnvironmentTexels {
         for (seen, channel) in seen.iter_mut().zip(&self.channels) {
             seen.copy_from_slice(&channel[start..start + LANES]);
         }
-        for (lane, &open) in chunk.open_samples.iter().enumerate() {
+        let Some(of_samples) = self.samples.get(start..start + LANES) else { return seen };
+        for ((lane, &open), samples) in chunk.open_samples.iter().enumerate().zip(of_samples) {
             if open != 0 && open != u16::MAX {
                 let inverse = 1.0 / open.count_ones() as f32;
-                for (seen, samples) in seen.iter_mut().zip(&self.samples[start + lane]) {
+                for (seen, samples) in seen.iter_mut().zip(samples) {
                     seen[lane] = sum_where(samples, open) * inverse;
                 }
             }
@@ -386,7 +393,6 @@ pub(crate) mod tests {
     fn a_sky_covered_by_half_gives_half() {
         let table = CubeRasterTable::new(8);
         let sums = ConvolutionTable::new(&table, Vec3::Y);
-        let sky = EnvironmentTexels::new(&table, &vec![[1.0; 3]; 384 * SAMPLES]);
         let mut raster = CubeRaster::new(&table, true);
         // A wall over everything with x > 0, shining with radiance 3.
         let walls = [
@@ -396,7 +402,13 @@ pub(crate) mod tests {
             (Vec3::NEG_Z, Vec3::new(0.0, 0.0, -1.1), Vec3::new(50.0, 50.0, -0.9)),
         ];
         run_wide(SimdLevel::Baseline, Draw(&mut raster, Vec3::Y, &walls));
-        let found = convolve_diffuse(&raster, &sums, Some(&sky), [Vec3::Y; 2]);
+        // Texels whose samples see the sky each by itself, or as one.
+        let found = [384 * SAMPLES, 384].map(|count| {
+            let sky = EnvironmentTexels::new(&table, &vec![[1.0; 3]; count]);
+            convolve_diffuse(&raster, &sums, Some(&sky), [Vec3::Y; 2])
+        });
+        assert_eq!(found[0], found[1]);
+        let [found, _] = found;
         assert!((found.ambient_occlusion - 0.5).abs() < 0.01, "{found:?}");
         assert!((found.environment_irradiance[0] - PI / 2.0).abs() < 0.03);
         assert!((found.surface_irradiance[0] - 3.0 * PI / 2.0).abs() < 0.06);

@@ -32,6 +32,9 @@ pub struct PreparedLight {
     pub(crate) pyramid: EnvironmentPyramid,
 }
 
+/// Texels along a face of the finest raster whose samples see the environment each by itself: those of finer ones are 1.4° wide and less.
+const SAMPLED_EDGE_MAX: usize = 32;
+
 /// Texels along a face of the pyramid that reflections show: a third of a degree each.
 const REFLECTED_EDGE: usize = 256;
 
@@ -75,8 +78,9 @@ impl PreparedLight {
                 relief: 1.0 / (weight(peak) * error),
             }
         });
+        let cells = if n <= SAMPLED_EDGE_MAX { SAMPLE_CELLS * n } else { n };
         Self {
-            base: EnvironmentTexels::new(&table, &environment.base_texels(SAMPLE_CELLS * n)),
+            base: EnvironmentTexels::new(&table, &environment.base_texels(cells)),
             peaks: peaks.collect(),
             pyramid,
         }
