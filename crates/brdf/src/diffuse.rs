@@ -24,10 +24,9 @@ impl EnvironmentTexels {
     #[must_use]
     pub fn new(table: &CubeRasterTable, cells: &[[f32; 3]]) -> Self {
         let n = table.edge();
-        if cells.len() == CubeMap::new(n).texel_count() {
-            let means = table.pad(cells);
-            let channels = std::array::from_fn(|c| means.iter().map(|mean| mean[c]).collect());
-            return Self { channels, samples: Vec::new() };
+        let texel_count = CubeMap::new(n).texel_count();
+        if cells.len() == texel_count {
+            return Self::of_means(table, cells);
         }
         let map = CubeMap::new(SAMPLE_CELLS * n);
         let of_texel = |index: usize| {
@@ -52,12 +51,15 @@ impl EnvironmentTexels {
             }
             (mean, samples)
         };
-        let (means, samples): (Vec<[f32; 3]>, Vec<_>) = (0..6 * n * n).map(of_texel).unzip();
-        let means = table.pad(&means);
-        Self {
-            channels: std::array::from_fn(|c| means.iter().map(|mean| mean[c]).collect()),
-            samples: table.pad(&samples),
-        }
+        let (means, samples): (Vec<_>, Vec<_>) = (0..texel_count).map(of_texel).unzip();
+        Self { samples: table.pad(&samples), ..Self::of_means(table, &means) }
+    }
+
+    /// From the mean radiance of each texel.
+    fn of_means(table: &CubeRasterTable, means: &[[f32; 3]]) -> Self {
+        let means = table.pad(means);
+        let channels = std::array::from_fn(|c| means.iter().map(|mean| mean[c]).collect());
+        Self { channels, samples: Vec::new() }
     }
 
     /// Radiance of what is open in the texels `8 number ..` in memory, by channel; of texels that are closed, their mean.

@@ -9,7 +9,7 @@ use std::f64::consts::TAU;
 /// Parts of a texel to which pixels across its boundary are divided, per axis.
 const PARTS_PER_TEXEL: f32 = 32.0;
 /// Most bytes the bands' accumulators may take together.
-const ACCUMULATOR_BYTES_MAX: usize = 4 << 20;
+const ACCUMULATOR_BYTES_MAX: usize = 128 << 20;
 /// Bands of rows that are summed on their own; fixed, so that sums do not depend on threads.
 const BANDS_MAX: usize = 32;
 
