@@ -118,9 +118,10 @@ impl FrameImage {
             let surface = PixelSurface::new(band, pixel, view, origin);
             let values = &mixed[pixel];
             let place = first + pixel / columns * self.planes.width() + pixel % columns;
-            let mut planes = self.band.iter_mut();
-            let mut set = |values: &[f32]| {
-                values.iter().zip(planes.by_ref()).for_each(|(value, plane)| plane[place] = *value);
+            let (band, mut plane) = (&mut self.band, 0);
+            let mut set = |value: f32| {
+                band[plane][place] = value;
+                plane += 1;
             };
             for (aov, count) in &self.layout {
                 let all = match aov {
@@ -138,10 +139,11 @@ impl FrameImage {
                     Aov::Depth => [surface.depth, 0.0, 0.0, 0.0],
                     _ => [0.0; 4],
                 };
-                set(&all.map(|value| self.names.value(*aov, value))[..*count]);
+                all[..*count].iter().for_each(|value| set(self.names.value(*aov, *value)));
             }
-            set(if self.is_lit { &values[..3] } else { &values[12..13] });
-            set(&[f32::from(alpha[pixel] > 0.5)]);
+            let shown = if self.is_lit { &values[..3] } else { &values[12..13] };
+            shown.iter().for_each(|value| set(*value));
+            set(f32::from(alpha[pixel] > 0.5));
         }
     }
 
@@ -180,10 +182,11 @@ fn mixed_values(piece: &Piece, shading: &Shading, without_color: [bool; 2]) -> [
         let through = 1.0 - shading.gloss_albedo[c];
         let reflected = through * piece.albedo[c] * FRAC_1_PI * irradiance[c];
         values[c] = reflected + shading.reflected[c] + piece.emission[c];
-        let [indirect, direct] = without_color
-            .map(|without| through * FRAC_1_PI * if without { 1.0 } else { piece.albedo[c] });
-        values[3 + c] = indirect * shading.surface_irradiance[c];
-        values[17 + c] = direct * shading.environment_irradiance[c];
+        let colored = |without: bool| if without { 1.0 } else { piece.albedo[c] };
+        let [of_surfaces, of_sky] = without_color;
+        let scale = through * FRAC_1_PI;
+        values[3 + c] = scale * colored(of_surfaces) * shading.surface_irradiance[c];
+        values[17 + c] = scale * colored(of_sky) * shading.environment_irradiance[c];
         values[6 + c] = irradiance[c];
         values[9 + c] = piece.albedo[c];
     }

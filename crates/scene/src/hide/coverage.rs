@@ -135,8 +135,8 @@ impl Coverage {
         let pixel_value = |pixel: usize| {
             let mut sum = [0f32; K];
             let mut add = |values: [f32; K], samples: u32| {
-                for (total, value) in sum.iter_mut().zip(values) {
-                    *total += value * samples as f32;
+                for k in 0..K {
+                    sum[k] += values[k] * samples as f32;
                 }
             };
             for fragment in self.fragments(pixel) {
@@ -146,7 +146,8 @@ impl Coverage {
             if open > 0 {
                 add(background(self.pixel_direction(pixel)), open);
             }
-            sum.map(|total| total * per_sample)
+            sum.iter_mut().for_each(|total| *total *= per_sample);
+            sum
         };
         (0..self.pixel_count()).into_par_iter().map(pixel_value).collect()
     }
