@@ -9,7 +9,8 @@ use pbgi_cloud::{
     CloudError, CloudOptions, PlyWriter, RawKind, Surfel, SurfelSource, open_cloud, write_raw_file,
 };
 use pbgi_math::Vec3;
-use pbgi_scene::{DiceOptions, DicedScene, Spacing, TwoSided, procedural_scene};
+use pbgi_procedural::procedural_scene;
+use pbgi_scene::{DiceOptions, DicedScene, Spacing, TwoSided};
 use rustix::fs::{Advice, fadvise};
 use std::fs::File;
 use std::io::{Read, Write};

@@ -13,7 +13,9 @@ use pbgi_gather::{
 use pbgi_image::{RgbImage, compare, read_environment};
 use pbgi_light::{Environment, EnvironmentOptions, SkyParameters, synthetic_sky};
 use pbgi_math::Vec3;
-use pbgi_scene::{Camera, CameraView, HideOptions, Scene, hide, procedural_scene, read_scene};
+use pbgi_mesh::read_scene;
+use pbgi_procedural::procedural_scene;
+use pbgi_scene::{Camera, CameraView, HideOptions, Scene, hide};
 use pbgi_store::Octree;
 use serde::Serialize;
 use std::fmt::Write as _;

@@ -13,7 +13,8 @@ use pbgi_gather::{
 use pbgi_image::compare;
 use pbgi_light::{Environment, EnvironmentOptions};
 use pbgi_math::Vec3;
-use pbgi_scene::{Scene, read_scene};
+use pbgi_mesh::read_scene;
+use pbgi_scene::Scene;
 use pbgi_schedule::{ShadeOptions, ShadeReport, shade_receivers};
 use pbgi_store::Octree;
 use std::fmt::Write as _;

@@ -8,7 +8,8 @@ use pbgi_cloud::{
 use pbgi_file::Allowance;
 use pbgi_format::COORDINATE_MAX;
 use pbgi_image::{read_environment_noting_within, read_exr_metadata, read_stored_exr_within};
-use pbgi_scene::{DiceOptions, DicedScene, Scene, Spacing, TwoSided, read_scene_within};
+use pbgi_mesh::{read_scene_within};
+use pbgi_scene::{DiceOptions, DicedScene, Scene, Spacing, TwoSided};
 use pbgi_store::{FileState, Octree, OpenOptions, PageSource, for_each_leaf};
 use std::fmt::Display;
 use std::io;

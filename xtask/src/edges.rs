@@ -3,14 +3,16 @@
 use crate::workspace::Workspace;
 
 /// Every crate in `crates/` with the workspace crates it uses, in the order of the layers.
-pub const EDGES: [(&str, &[&str]); 18] = [
+pub const EDGES: [(&str, &[&str]); 20] = [
     ("math", &[]),
     ("file", &[]),
     ("cloud", &["file", "math"]),
     ("image", &["file", "math"]),
     ("format", &["math"]),
     ("raster", &["math"]),
-    ("scene", &["cloud", "file", "math"]),
+    ("scene", &["cloud", "math"]),
+    ("mesh", &["cloud", "file", "math", "scene"]),
+    ("procedural", &["math", "scene"]),
     ("light", &["image", "math"]),
     ("sort", &["cloud", "file", "math"]),
     ("build", &["cloud", "file", "format", "math"]),
@@ -23,8 +25,21 @@ pub const EDGES: [(&str, &[&str]); 18] = [
     (
         "pbgi",
         &[
-            "bounce", "build", "cloud", "file", "format", "gather", "image", "light", "math",
-            "scene", "schedule", "sort", "store",
+            "bounce",
+            "build",
+            "cloud",
+            "file",
+            "format",
+            "gather",
+            "image",
+            "light",
+            "math",
+            "mesh",
+            "procedural",
+            "scene",
+            "schedule",
+            "sort",
+            "store",
         ],
     ),
     ("testkit", &["cloud", "math"]),
@@ -38,9 +53,9 @@ pub fn render() -> String {
     let mut out = String::new();
     for (name, uses) in EDGES {
         let uses = if uses.is_empty() { "nothing".to_owned() } else { uses.join(", ") };
-        out.push_str(&format!("{name:<8} -> {uses}\n"));
+        out.push_str(&format!("{name:<10} -> {uses}\n"));
     }
-    out.push_str("tools    -> pbgi\n");
+    out.push_str("tools      -> pbgi\n");
     out
 }
 

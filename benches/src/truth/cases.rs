@@ -6,9 +6,9 @@ use pbgi_gather::{Gloss, Receiver};
 use pbgi_image::{RgbImage, read_environment};
 use pbgi_light::{SkyParameters, synthetic_sky};
 use pbgi_math::{Affine3A, Vec3};
-use pbgi_scene::{
-    Camera, CameraView, Instance, Material, Mesh, Scene, procedural_scene, read_scene,
-};
+use pbgi_mesh::read_scene;
+use pbgi_procedural::procedural_scene;
+use pbgi_scene::{Camera, CameraView, Instance, Material, Mesh, Scene};
 use std::path::PathBuf;
 
 /// All cases, in the order of the tables.

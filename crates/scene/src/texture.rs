@@ -13,12 +13,14 @@ static BYTE_TO_LINEAR: LazyLock<[f32; 256]> =
     LazyLock::new(|| std::array::from_fn(|i| i as f32 / 255.0));
 
 /// Linear value of an sRGB code from 0 to 1.
-pub(crate) fn display_to_linear(code: f32) -> f32 {
+#[must_use]
+pub fn display_to_linear(code: f32) -> f32 {
     if code <= 0.040_45 { code / 12.92 } else { ((code + 0.055) / 1.055).powf(2.4) }
 }
 
 /// Linear value of an sRGB-encoded byte.
-pub(crate) fn srgb_to_linear(byte: u8) -> f32 {
+#[must_use]
+pub fn srgb_to_linear(byte: u8) -> f32 {
     SRGB_TO_LINEAR[usize::from(byte)]
 }
 

@@ -9,10 +9,9 @@ use pbgi_cloud::{
     SurfelSource, open_cloud, raw::RAW_MAGIC,
 };
 use pbgi_file::open_input;
-use pbgi_scene::{
-    DiceError, DiceOptions, DicedScene, ProceduralSpec, Scene, Spacing, TwoSided, procedural_scene,
-    read_scene_within,
-};
+use pbgi_mesh::read_scene_within;
+use pbgi_procedural::{ProceduralSpec, procedural_scene};
+use pbgi_scene::{DiceError, DiceOptions, DicedScene, Scene, Spacing, TwoSided};
 use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;

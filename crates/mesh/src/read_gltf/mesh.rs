@@ -2,10 +2,10 @@
 
 use super::accessor::Accessors;
 use super::material::UvSource;
-use crate::Mesh;
 use gltf::json::accessor::Type;
 use gltf::mesh::{Mode, Semantic};
 use pbgi_math::{Vec2, Vec3};
+use pbgi_scene::Mesh;
 
 /// What a primitive gives.
 pub(super) struct ReadPrimitive {

@@ -1,4 +1,7 @@
 //! Scenes made from a name and a seed, for demonstrations and tests.
+//!
+//! This crate must never read files, nor know what scenes are used for.
+#![forbid(unsafe_code)]
 
 mod builder;
 mod foliage;
@@ -10,8 +13,8 @@ mod street;
 
 pub use spec::{ProceduralError, ProceduralSpec};
 
-use crate::Scene;
 use pbgi_math::Vec3;
+use pbgi_scene::Scene;
 
 /// A procedural scene and the light it was made for.
 #[derive(Clone, Debug)]
@@ -53,7 +56,7 @@ pub fn procedural_scene(spec: &str) -> Result<ProceduralScene, ProceduralError> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{CameraView, HideOptions, hide};
+    use pbgi_scene::{CameraView, HideOptions, hide};
 
     #[test]
     fn scenes_are_sound_and_repeatable() {

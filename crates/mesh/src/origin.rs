@@ -1,7 +1,7 @@
 //! Scenes far from the origin of their coordinates, as surveys have them: single floats would not tell their places apart.
 
-use crate::Scene;
 use pbgi_math::{DVec3, Vec3};
+use pbgi_scene::Scene;
 
 /// Coordinates beyond this, where single floats are 1/256 apart and more, are read relative to an origin.
 const FAR: f64 = 65_536.0;

@@ -4,8 +4,8 @@ use super::ProceduralScene;
 use super::builder::{Paint, SceneBuilder};
 use super::plants::{PlantPaints, TreeShape, shrub, tree};
 use super::random::Random;
-use crate::Camera;
 use pbgi_math::{Affine3A, Vec3};
+use pbgi_scene::Camera;
 
 /// `tree_count` trees and four times as many shrubs on a clearing of 30 m.
 pub(super) fn foliage(seed: u64, tree_count: u32) -> ProceduralScene {

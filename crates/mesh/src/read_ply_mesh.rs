@@ -1,14 +1,15 @@
 //! PLY meshes: ASCII and binary, any property order and types, polygons and strips cut into triangles.
 
+use crate::SceneError;
 use crate::error::from_cloud_error;
 use crate::origin::Places;
 use crate::polygon::Triangulator;
 use crate::resources::Resources;
-use crate::texture::{display_to_linear, srgb_to_linear};
-use crate::{Instance, Material, Mesh, Scene, SceneError};
 use pbgi_cloud::{PlyElement, PlyKind, PlyReader, PlyRow, PlyType};
 use pbgi_file::open_input;
 use pbgi_math::{Affine3A, DVec3, Vec3};
+use pbgi_scene::{Instance, Material, Mesh, Scene};
+use pbgi_scene::{display_to_linear, srgb_to_linear};
 use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;

@@ -3,8 +3,8 @@
 use super::ProceduralScene;
 use super::builder::{PLAIN, Paint, SceneBuilder};
 use super::random::Random;
-use crate::Camera;
 use pbgi_math::{Affine3A, Vec3};
+use pbgi_scene::Camera;
 
 /// The Cornell box of Cornell's measured data (graphics.cornell.edu/online/box/data.html) in
 /// meters; albedos are the measured reflectance spectra as linear Rec. 709.
@@ -142,7 +142,7 @@ pub(super) fn spheres(seed: u64, count: u32) -> ProceduralScene {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{CameraView, HideOptions, hide};
+    use pbgi_scene::{CameraView, HideOptions, hide};
 
     #[test]
     fn room_is_closed_from_every_side() {

@@ -4,8 +4,8 @@ use super::StreetPaints;
 use super::furniture::flower_box;
 use super::opening::{HouseColors, Opening, door, glazing, pierced_wall, shutters, window};
 use super::roof::{RoofPlan, flat, pitched};
-use crate::procedural::builder::{PLAIN, Pen};
-use crate::procedural::random::Random;
+use crate::builder::{PLAIN, Pen};
+use crate::random::Random;
 use pbgi_math::{Affine3A, Mat3, Vec3};
 
 /// Wall colors as multiples of the plaster's 0.8: cream, ochre, brick red, rose, teal, pale

@@ -9,8 +9,8 @@ mod mesh;
 mod prepare;
 mod skin;
 
+use crate::SceneError;
 use crate::resources::Resources;
-use crate::{Camera, Instance, Mesh, Scene, SceneError};
 use accessor::Accessors;
 use gltf::json::Root;
 use gltf::json::camera::Type as CameraType;
@@ -19,6 +19,7 @@ use light::Lights;
 use material::Materials;
 use mesh::ReadPrimitive;
 use pbgi_math::{Affine3A, Mat3, Mat4};
+use pbgi_scene::{Camera, Instance, Mesh, Scene};
 use prepare::Extras;
 use skin::Skin;
 use std::path::Path;

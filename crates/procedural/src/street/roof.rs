@@ -2,8 +2,8 @@
 
 use super::StreetPaints;
 use super::opening::{HouseColors, Opening, glazing};
-use crate::procedural::builder::{PLAIN, Paint, Pen};
-use crate::procedural::random::Random;
+use crate::builder::{PLAIN, Paint, Pen};
+use crate::random::Random;
 use pbgi_math::{Affine3A, Vec3};
 
 /// The block a roof covers: `width` along the street, `depth` away from it, eaves at `height`.

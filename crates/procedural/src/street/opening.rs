@@ -1,8 +1,8 @@
 //! Walls with openings, and the windows, shutters and doors in them.
 
 use super::StreetPaints;
-use crate::procedural::builder::{PLAIN, Pen};
-use crate::procedural::random::Random;
+use crate::builder::{PLAIN, Pen};
+use crate::random::Random;
 use pbgi_math::Vec3;
 
 /// How deep windows and doors lie in the wall.

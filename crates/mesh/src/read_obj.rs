@@ -2,16 +2,17 @@
 
 mod mtl;
 
+use crate::SceneError;
 use crate::find_file::plain_name;
 use crate::origin::Places;
 use crate::polygon::Triangulator;
 use crate::resources::Resources;
-use crate::texture::display_to_linear;
-use crate::{Instance, Material, Mesh, Scene, SceneError};
 use mtl::Placement;
 use pbgi_cloud::parse_number;
 use pbgi_file::open_input;
 use pbgi_math::{Affine3A, DVec3, Vec2, Vec3};
+use pbgi_scene::display_to_linear;
+use pbgi_scene::{Instance, Material, Mesh, Scene};
 use std::collections::{BTreeMap, HashMap};
 use std::io::{BufRead, BufReader};
 use std::path::Path;

@@ -2,8 +2,8 @@
 
 use super::StreetPaints;
 use super::path::{CURB, FACADE, LOT_END, ROAD_HALF, START, StreetPath, smooth};
-use crate::procedural::builder::SceneBuilder;
-use crate::procedural::random::Random;
+use crate::builder::SceneBuilder;
+use crate::random::Random;
 use pbgi_math::{Affine3A, Vec3};
 
 /// Draws the street's surfaces from its start to `end`.

@@ -1,12 +1,13 @@
 //! Scene files of any kind.
 
+use crate::SceneError;
 use crate::origin::warn_of_lost_digits;
 use crate::read_gltf::read_gltf;
 use crate::read_obj::read_obj;
 use crate::read_ply_mesh::read_ply_mesh;
 use crate::resources::Resources;
-use crate::{Scene, SceneError};
 use pbgi_file::Allowance;
+use pbgi_scene::Scene;
 use std::path::Path;
 
 /// Reads a scene file by its extension: glTF 2.0 (`.glb`, `.gltf`), Wavefront OBJ (`.obj`) or a PLY
@@ -50,9 +51,9 @@ pub fn read_scene_within(path: &Path, allowance: &Allowance) -> Result<Scene, Sc
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{DiceOptions, DicedScene, Spacing, TwoSided};
     use pbgi_cloud::SurfelSource;
     use pbgi_math::Vec3;
+    use pbgi_scene::{DiceOptions, DicedScene, Spacing, TwoSided};
     use std::time::Instant;
 
     /// Reads a file of the shared test data; `None`, with a notice, if it is not there.
@@ -70,7 +71,7 @@ mod tests {
     }
 
     fn triangle_count(scene: &Scene) -> usize {
-        let count = |i: &crate::Instance| scene.meshes[i.mesh as usize].triangles.len();
+        let count = |i: &pbgi_scene::Instance| scene.meshes[i.mesh as usize].triangles.len();
         scene.instances.iter().map(count).sum()
     }
 

@@ -2,9 +2,9 @@
 
 use super::StreetPaints;
 use super::path::{CURB, FACADE, ROAD_HALF, StreetPath};
-use crate::procedural::builder::{PLAIN, Pen, SceneBuilder};
-use crate::procedural::plants::shrub;
-use crate::procedural::random::Random;
+use crate::builder::{PLAIN, Pen, SceneBuilder};
+use crate::plants::shrub;
+use crate::random::Random;
 use pbgi_math::{Affine3A, Mat3, Vec3};
 
 /// Cloth and lacquer colors, as multiples of 0.8.

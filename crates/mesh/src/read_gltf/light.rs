@@ -1,10 +1,10 @@
 //! Lights without extent: `KHR_lights_punctual`.
 
-use crate::{PunctualLight, Scene};
 use gltf::json::Root;
 use gltf::json::extensions::scene::khr_lights_punctual::{Light, Type};
 use gltf::json::validation::Checked;
 use pbgi_math::{Affine3A, Vec3};
+use pbgi_scene::{PunctualLight, Scene};
 
 /// Lights that were placed, and what of them is read differently than the file says.
 #[derive(Default)]

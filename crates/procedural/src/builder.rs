@@ -1,7 +1,7 @@
 //! Building scenes from boxes, strips and cylinders.
 
-use crate::{Camera, Instance, Material, Mesh, Scene};
 use pbgi_math::{Affine3A, Vec3};
+use pbgi_scene::{Camera, Instance, Material, Mesh, Scene};
 use std::f32::consts::TAU;
 
 /// A material of the scene under construction.

@@ -12,9 +12,9 @@ use super::ProceduralScene;
 use super::builder::{Paint, SceneBuilder};
 use super::plants::{PlantPaints, TreeShape, tree};
 use super::random::Random;
-use crate::Camera;
 use path::{CURB, FACADE, ROAD_HALF, StreetPath};
 use pbgi_math::{Affine3A, Mat3, Vec3};
+use pbgi_scene::Camera;
 
 /// Paints of the street.
 pub(super) struct StreetPaints {

@@ -1,13 +1,14 @@
 //! MTL material libraries.
 
 use super::{read_floats, read_lines};
+use crate::SceneError;
 use crate::decode_texture::{TextureSize, decode_image, texels_of};
 use crate::find_file::find_file;
 use crate::resources::{Resources, is_lack_of_memory};
-use crate::{Material, SceneError, Texture, Wrap};
 use image::RgbaImage;
 use pbgi_cloud::parse_number;
 use pbgi_math::Vec2;
+use pbgi_scene::{Material, Texture, Wrap};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 

@@ -3,13 +3,14 @@
 use super::accessor::Accessors;
 use super::container::{Buffer, data_of, resolve_uri};
 use super::prepare::Extras;
+use crate::SceneError;
 use crate::decode_texture::{TextureSize, decode_image, texels_of};
 use crate::resources::{Resources, is_lack_of_memory};
-use crate::{Material, Scene, SceneError, Texture, Wrap};
 use gltf::json::Root;
 use gltf::material::AlphaMode;
 use gltf::texture::WrappingMode;
 use pbgi_math::Vec2;
+use pbgi_scene::{Material, Scene, Texture, Wrap};
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::path::Path;

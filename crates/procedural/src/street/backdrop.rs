@@ -2,8 +2,8 @@
 
 use super::path::{LOT_END, StreetPath};
 use super::{StreetPaints, TownPaints};
-use crate::procedural::builder::{PLAIN, Paint, Pen, SceneBuilder};
-use crate::procedural::random::Random;
+use crate::builder::{PLAIN, Paint, Pen, SceneBuilder};
+use crate::random::Random;
 use pbgi_math::{Affine3A, Mat3, Vec3};
 
 /// Draws the surroundings of a street that ends at `end`.

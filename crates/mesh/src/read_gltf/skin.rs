@@ -2,10 +2,10 @@
 
 use super::accessor::Accessors;
 use super::local_transform;
-use crate::Mesh;
 use gltf::Semantic;
 use gltf::json::accessor::Type;
 use pbgi_math::{Affine3A, Mat3, Mat4, Vec3};
+use pbgi_scene::Mesh;
 
 /// Most sets of joints of a vertex, four in each.
 const SETS_MAX: u32 = 8;
