@@ -68,7 +68,7 @@ impl ProceduralSpec {
     /// [`ProceduralError`], naming what is wrong and what would be right.
     ///
     /// ```
-    /// # use pbgi_scene::ProceduralSpec;
+    /// # use pbgi_procedural::ProceduralSpec;
     /// let spec = ProceduralSpec::parse("demo:street?seed=7&surfels=1.5M")?;
     /// assert_eq!((spec.seed, spec.surfels), (7, Some(1_500_000)));
     /// # Ok::<(), pbgi_scene::ProceduralError>(())
