@@ -71,7 +71,7 @@ impl ProceduralSpec {
     /// # use pbgi_procedural::ProceduralSpec;
     /// let spec = ProceduralSpec::parse("demo:street?seed=7&surfels=1.5M")?;
     /// assert_eq!((spec.seed, spec.surfels), (7, Some(1_500_000)));
-    /// # Ok::<(), pbgi_scene::ProceduralError>(())
+    /// # Ok::<(), pbgi_procedural::ProceduralError>(())
     /// ```
     pub fn parse(text: &str) -> Result<Self, ProceduralError> {
         let Some(rest) = text.strip_prefix("demo:") else {
