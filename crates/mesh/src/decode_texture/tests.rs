@@ -125,11 +125,12 @@ fn images(width: u32, height: u32) -> [image::DynamicImage; 4] {
 
 #[test]
 fn kinds_are_told_as_by_the_crate_image() {
-    let marks: [&[u8]; 9] = [
+    let marks: [&[u8]; 10] = [
         b"\x89PNG\r\n\x1a\n",
         b"\xff\xd8\xff",
         b"RIFF1234WEBP",
         b"RIFF1234WAVE",
+        b"RIFF1234WEBX",
         b"BM",
         b"GIF89a",
         b"MM\0*",

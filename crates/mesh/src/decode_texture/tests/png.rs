@@ -185,11 +185,3 @@ fn first_pictures_of_animations_are_read() {
     writer.finish().unwrap();
     assert_eq!(check("", &bytes).unwrap().texels, [[1, 2, 3, 255], [4, 5, 6, 255]]);
 }
-
-/// Texts and profiles are not looked at, whatever is in them.
-#[test]
-fn texts_and_profiles_are_skipped() {
-    let chunks = vec![(*b"iCCP", vec![1, 2, 3]), (*b"tEXt", vec![0; 200]), (*b"zTXt", vec![0; 3])];
-    let bytes = file(Fields { chunks, rows: vec![0, 7, 8, 9], ..Fields::default() });
-    assert_eq!(decode_image("", &bytes).unwrap().texels, [[7, 8, 9, 255]]);
-}

@@ -136,7 +136,8 @@ fn palettes_that_are_not_used_are_skipped() {
         width: 2,
         ..Fields::default()
     };
-    assert!(check("a.tga", &file(fields, &random_texels(fields))).is_some());
+    let image = check("a.tga", &file(fields, &[1, 2, 3, 4, 5, 6])).unwrap();
+    assert_eq!(image.texels, [[3, 2, 1, 255], [6, 5, 4, 255]]);
 }
 
 #[test]
