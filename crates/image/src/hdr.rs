@@ -1,11 +1,12 @@
-//! Reading of Radiance HDR files: their header here, their pixels by the `image` crate.
+//! Reading of Radiance HDR files: their header here, their pixels by [`scan_lines`].
 
+mod scan_lines;
+
+use self::scan_lines::read_scan_lines;
 use crate::environment::COLOR_BYTES;
-use crate::error::catch_decoder_panic;
 use crate::{Chromaticities, ImageError, RgbImage};
-use ::image::{DynamicImage, ImageDecoder, codecs::hdr::HdrDecoder};
 use pbgi_file::{Allowance, open_input};
-use std::io::{BufRead, BufReader, Cursor, Read};
+use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
 /// Most pixels one byte of an HDR file can stand for. Run lengths code 127 samples in 2 bytes, so
@@ -68,7 +69,12 @@ pub(crate) fn read(path: &Path, allowance: &Allowance) -> Result<HdrPicture, Ima
     let needed = pixel_count.saturating_mul(2 * COLOR_BYTES);
     allowance.check(needed).map_err(|e| ImageError::io(path, "read", e))?;
     let (lines, length) = if is_upright { (width, height) } else { (height, width) };
-    let stored = decode_pixels(path, reader, lines, length)?;
+    let stored = read_scan_lines(&mut reader, lines, length)
+        .map_err(|e| ImageError::io(path, "read", e))?
+        .map_err(|message| {
+            let message = format!("not a readable hdr file ({message}); write or copy it again");
+            ImageError::malformed(path, message)
+        })?;
     let pixels = header.scan.upright(stored);
     let factors = header.correction.map(|c| (1.0 / (header.exposure * c)) as f32);
     let pixels = match factors == [1.0; 3] {
@@ -86,29 +92,6 @@ pub(crate) fn read(path: &Path, allowance: &Allowance) -> Result<HdrPicture, Ima
         false => header.chromaticities,
     };
     Ok(HdrPicture { image: RgbImage { width, height, pixels }, chromaticities, warnings })
-}
-
-/// Decodes scan lines behind a header.
-fn decode_pixels(
-    path: &Path,
-    reader: impl Read,
-    lines: usize,
-    length: usize,
-) -> Result<Vec<[f32; 3]>, ImageError> {
-    let damaged = |e: ::image::ImageError| {
-        let message = format!("not a readable hdr file ({e}); write or copy it again");
-        ImageError::malformed(path, message)
-    };
-    // The decoder knows one signature and one order only.
-    let start = format!("#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {lines} +X {length}\n");
-    let reader = Cursor::new(start.into_bytes()).chain(reader);
-    catch_decoder_panic(path, || {
-        let decoder = HdrDecoder::new(reader).map_err(damaged)?;
-        debug_assert_eq!(decoder.dimensions(), (length as u32, lines as u32));
-        let samples =
-            DynamicImage::from_decoder(decoder).map_err(damaged)?.into_rgb32f().into_raw();
-        Ok(samples.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect())
-    })
 }
 
 impl Header {

@@ -4,7 +4,7 @@ use super::accessor::Accessors;
 use super::container::{Buffer, data_of, resolve_uri};
 use super::prepare::Extras;
 use crate::SceneError;
-use crate::decode_texture::{TextureSize, decode_image, texels_of};
+use crate::decode_texture::{DecodedImage, TextureSize, decode_image};
 use crate::resources::{Resources, is_lack_of_memory};
 use gltf::json::Root;
 use gltf::material::AlphaMode;
@@ -327,9 +327,7 @@ struct Image<'a> {
 
 impl Image<'_> {
     fn decode(&self) -> Result<Texture, String> {
-        let decoded = decode_image(self.name, &self.bytes)?;
-        let (width, height) = decoded.dimensions();
-        let mut texels = texels_of(decoded);
+        let DecodedImage { width, height, mut texels } = decode_image(self.name, &self.bytes)?;
         if !self.key.keeps_alpha {
             texels.iter_mut().for_each(|texel| texel[3] = 255);
         }

@@ -2,10 +2,9 @@
 
 use super::{read_floats, read_lines};
 use crate::SceneError;
-use crate::decode_texture::{TextureSize, decode_image, texels_of};
+use crate::decode_texture::{DecodedImage, TextureSize, decode_image};
 use crate::find_file::find_file;
 use crate::resources::{Resources, is_lack_of_memory};
-use image::RgbaImage;
 use pbgi_cloud::parse_number;
 use pbgi_math::Vec2;
 use pbgi_scene::{Material, Texture, Wrap};
@@ -273,7 +272,7 @@ impl Library {
         let is_one_file = key.color.as_ref().map(|m| &m.name) == key.mask.as_ref().map(|m| &m.name);
         let matte = key.mask.as_ref().is_some_and(|m| m.matte);
         if let (None, Some(color), Some(map)) = (&mask, &color, &key.color)
-            && color.pixels().any(|p| p.0[3] < 128)
+            && color.texels.iter().any(|texel| texel[3] < 128)
         {
             self.warnings.push(format!(
                 "texture {} has transparent texels, but no map_d says that they are holes; they are opaque",
@@ -284,15 +283,14 @@ impl Library {
         let image = join(color, mask)?;
         let clamp = key.color.as_ref().or(key.mask.as_ref()).is_some_and(|map| map.clamp);
         let wrap = if clamp { Wrap::Clamp } else { Wrap::Repeat };
-        let (width, height) = image.dimensions();
-        self.textures
-            .push(Texture::new(width, height, texels_of(image), true)?.with_wrap([wrap; 2]));
+        let texture = Texture::new(image.width, image.height, image.texels, true)?;
+        self.textures.push(texture.with_wrap([wrap; 2]));
         let index = self.textures.len() as u32 - 1;
         self.known.push((key, index));
         Some(index)
     }
 
-    fn decode(&mut self, path: &Path, map: &Map, resources: &Resources) -> Option<RgbaImage> {
+    fn decode(&mut self, path: &Path, map: &Map, resources: &Resources) -> Option<DecodedImage> {
         let name = &map.name;
         let read = match find_file(path, name) {
             Some(file) => read_image(&file, name, resources),
@@ -313,7 +311,7 @@ fn read_image(
     file: &Path,
     name: &str,
     resources: &Resources,
-) -> Result<Result<RgbaImage, String>, SceneError> {
+) -> Result<Result<DecodedImage, String>, SceneError> {
     let bytes = resources.read_referred(file)?;
     let size = match TextureSize::of(name, &bytes) {
         Ok(size) => size,
@@ -453,46 +451,48 @@ fn split_word(text: &str) -> (&str, &str) {
 
 /// What a mask lets be seen, as the alpha of a white image: its own alpha where that is meant or where nothing else differs, else
 /// its brightness.
-fn alpha_of(mask: &RgbaImage, own_alpha: bool) -> RgbaImage {
-    let has_alpha = mask.pixels().any(|p| p.0[3] < 255);
-    let first = mask.get_pixel(0, 0).0;
-    let is_plain = mask.pixels().all(|p| p.0[..3] == first[..3]);
-    let mut alpha = mask.clone();
-    for pixel in alpha.pixels_mut() {
-        let [r, g, b, a] = pixel.0;
+fn alpha_of(mask: &DecodedImage, own_alpha: bool) -> DecodedImage {
+    let has_alpha = mask.texels.iter().any(|texel| texel[3] < 255);
+    let first = mask.texels[0];
+    let is_plain = mask.texels.iter().all(|texel| texel[..3] == first[..3]);
+    let alpha = |&[r, g, b, a]: &[u8; 4]| {
         let brightness = (u16::from(r) + u16::from(g) + u16::from(b)) / 3;
         let value = if has_alpha && (own_alpha || is_plain) { a } else { brightness as u8 };
-        pixel.0 = [255, 255, 255, value];
-    }
-    alpha
+        [255, 255, 255, value]
+    };
+    DecodedImage { texels: mask.texels.iter().map(alpha).collect(), ..*mask }
 }
 
 /// Color with a mask's alpha, in the larger size of both on each axis; opaque without a mask, white without color.
-fn join(color: Option<RgbaImage>, mask: Option<RgbaImage>) -> Option<RgbaImage> {
+fn join(color: Option<DecodedImage>, mask: Option<DecodedImage>) -> Option<DecodedImage> {
     let (mut color, mask) = match (color, mask) {
         (Some(color), Some(mask)) => (color, mask),
         (None, mask) => return mask,
         (Some(mut color), None) => {
-            color.pixels_mut().for_each(|p| p.0[3] = 255);
+            color.texels.iter_mut().for_each(|texel| texel[3] = 255);
             return Some(color);
         }
     };
-    let (width, height) = (color.width().max(mask.width()), color.height().max(mask.height()));
-    let texels = |image: &RgbaImage| u64::from(image.width()) * u64::from(image.height());
+    let (width, height) = (color.width.max(mask.width), color.height.max(mask.height));
+    let texel_count = |width: u32, height: u32| u64::from(width) * u64::from(height);
+    let larger = texel_count(color.width, color.height).max(texel_count(mask.width, mask.height));
     // A tall and a wide image would make one of any size: that of the color must do.
-    let fits = u64::from(width) * u64::from(height) <= 4 * texels(&color).max(texels(&mask));
-    let (width, height) = if fits { (width, height) } else { color.dimensions() };
-    let nearest = |image: &RgbaImage, x: u32, y: u32| {
-        let at =
-            |k: u32, size: u32, own: u32| (u64::from(k) * u64::from(own) / u64::from(size)) as u32;
-        image.get_pixel(at(x, width, image.width()), at(y, height, image.height())).0
+    let fits = texel_count(width, height) <= 4 * larger;
+    let (width, height) = if fits { (width, height) } else { (color.width, color.height) };
+    let nearest = |image: &DecodedImage, x: u32, y: u32| {
+        let at = |k: u32, size: u32, own: u32| {
+            (u64::from(k) * u64::from(own) / u64::from(size)) as usize
+        };
+        let (x, y) = (at(x, width, image.width), at(y, height, image.height));
+        image.texels[y * image.width as usize + x]
     };
-    if color.dimensions() != (width, height) {
-        let larger = |x, y| image::Rgba(nearest(&color, x, y));
-        color = RgbaImage::from_fn(width, height, larger);
+    let places = || (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+    if (color.width, color.height) != (width, height) {
+        let texels = places().map(|(x, y)| nearest(&color, x, y)).collect();
+        color = DecodedImage { width, height, texels };
     }
-    for (x, y, pixel) in color.enumerate_pixels_mut() {
-        pixel.0[3] = nearest(&mask, x, y)[3];
+    for (texel, (x, y)) in color.texels.iter_mut().zip(places()) {
+        texel[3] = nearest(&mask, x, y)[3];
     }
     Some(color)
 }
