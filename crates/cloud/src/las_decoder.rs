@@ -12,10 +12,10 @@ use crate::CloudError;
 use crate::las::LAS_MAGIC;
 use las::Header;
 use laz::{DecompressionSelection, LasZipDecompressor, LazItem, LazItemType, LazVlr};
-use pbgi_file::open_input;
+use pbgi_file::{catch_decoder_panic, open_input};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
-use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::panic::resume_unwind;
 use std::path::{Path, PathBuf};
 use std::thread;
 
@@ -272,14 +272,14 @@ pub(crate) fn guard<T, E: std::fmt::Display>(
     place: impl Fn() -> String,
     step: impl FnOnce() -> Result<T, E>,
 ) -> Result<T, CloudError> {
-    // Unwind safe: after an error the source is not read on.
-    match catch_unwind(AssertUnwindSafe(step)) {
-        Ok(Ok(value)) => Ok(value),
-        Ok(Err(error)) => Err(CloudError::malformed(
+    // After an error the source is not read on.
+    match catch_decoder_panic(step) {
+        Some(Ok(value)) => Ok(value),
+        Some(Err(error)) => Err(CloudError::malformed(
             path,
             format!("{}: {error}; the file is damaged or cut short", place()),
         )),
-        Err(_) => Err(CloudError::malformed(
+        None => Err(CloudError::malformed(
             path,
             format!("{}: the compressed data make no sense; the file is damaged", place()),
         )),

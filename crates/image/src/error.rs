@@ -1,5 +1,6 @@
 //! What can go wrong with an image file.
 
+use pbgi_file::catch_decoder_panic;
 use std::path::{Path, PathBuf};
 
 /// Why an image could not be read or written.
@@ -96,16 +97,12 @@ impl ImageError {
     }
 }
 
-/// Runs a decoder on bytes nobody vouches for; a panic inside it becomes [`ImageError::Malformed`].
-///
-/// The decoders of other crates are careful, but not proved: a damaged file must end in an error
-/// whatever they do. `decode` must run on this thread only, and nothing it touched is used after a
-/// panic.
-pub(crate) fn catch_decoder_panic<T>(
+/// Decodes with code of another crate, whose panics become errors.
+pub(crate) fn decode_foreign<T>(
     path: &Path,
     decode: impl FnOnce() -> Result<T, ImageError>,
 ) -> Result<T, ImageError> {
-    std::panic::catch_unwind(std::panic::AssertUnwindSafe(decode)).unwrap_or_else(|_| {
+    catch_decoder_panic(decode).unwrap_or_else(|| {
         Err(ImageError::malformed(path, "the decoder failed on damaged data; get the file again"))
     })
 }
@@ -117,8 +114,8 @@ mod tests {
     #[test]
     fn decoder_panics_become_errors() {
         let path = Path::new("x.exr");
-        let result: Result<(), _> = catch_decoder_panic(path, || panic!("odd file"));
+        let result: Result<(), _> = decode_foreign(path, || panic!("odd file"));
         assert!(result.unwrap_err().to_string().starts_with("x.exr: the decoder failed"));
-        assert_eq!(catch_decoder_panic(path, || Ok(7)).unwrap(), 7);
+        assert_eq!(decode_foreign(path, || Ok(7)).unwrap(), 7);
     }
 }

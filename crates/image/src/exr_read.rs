@@ -1,6 +1,6 @@
 //! Reading of EXR files.
 
-use crate::error::catch_decoder_panic;
+use crate::error::decode_foreign;
 use crate::{
     AttributeValue, Chromaticities, Image, ImageError, ImageWindow, Metadata, Samples,
     StoredChannel, StoredImage,
@@ -113,7 +113,7 @@ fn open(path: &Path) -> Result<(FileReader, u64), ImageError> {
     let io = |action| move |e| ImageError::io(path, action, e);
     let file = open_input(path).map_err(io("open"))?;
     let file_bytes = file.metadata().map_err(io("read the size of"))?.len();
-    catch_decoder_panic(path, || {
+    decode_foreign(path, || {
         let reader = exr::block::read(BufReader::new(file), false).map_err(from_exr(path))?;
         Ok((reader, file_bytes))
     })
@@ -135,7 +135,7 @@ fn read_samples(
     // Blocks on their way, and the table of their offsets.
     let needed = needed.saturating_add(needed / 16);
     allowance.check(needed).map_err(|e| ImageError::io(path, "read", e))?;
-    catch_decoder_panic(path, || decode(path, reader))
+    decode_foreign(path, || decode(path, reader))
 }
 
 fn from_exr(path: &Path) -> impl Fn(exr::error::Error) -> ImageError + '_ {

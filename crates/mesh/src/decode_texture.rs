@@ -11,7 +11,7 @@ mod tga;
 mod webp;
 
 use self::layout::Layout;
-use std::panic::AssertUnwindSafe;
+use pbgi_file::catch_decoder_panic;
 use std::path::Path;
 
 /// Kinds of images that are read, for messages.
@@ -121,12 +121,9 @@ fn open<'b>(name: &str, bytes: &'b [u8]) -> Result<Box<dyn Decoder + 'b>, String
 }
 
 /// Runs a decoder on bytes nobody vouches for; a panic inside it becomes an error.
-///
-/// The decoders of other crates are careful, but not proved: a damaged file must end in an error whatever they do. What `decode` touched is not
-/// used after a panic.
 fn run_decoder<T>(decode: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
-    std::panic::catch_unwind(AssertUnwindSafe(decode))
-        .unwrap_or_else(|_| Err("the decoder failed on damaged data".into()))
+    catch_decoder_panic(decode)
+        .unwrap_or_else(|| Err("the decoder failed on damaged data".into()))
         .map_err(|why| format!("it cannot be decoded ({why})"))
 }
 

@@ -42,6 +42,7 @@ pub use inspect::{LevelInfo, OctreeCheck, OctreeInfo};
 pub use output_path::check_suffix;
 pub use outputs::{Output, OutputKind, RunFiles, check_writable, write_statistics};
 pub use pbgi_cloud::{ClassFilter, CloudOptions, InvalidPolicy, PlyWriter};
+pub use pbgi_file::hush_decoder_panics;
 pub use pbgi_file::platform::{peak_resident_bytes, resident_bytes};
 pub use pbgi_gather::{ImportanceTerms, Material, Shading};
 pub use pbgi_image::{Aov, AovNames, AovPreset, write_environment_exr};

@@ -191,6 +191,7 @@ pub fn run(tool: &str, body: impl FnOnce(&'static AtomicBool) -> Result<(), Pbgi
             std::process::exit(i32::from(EXIT_INTERRUPTED));
         }
     };
+    pbgi::hush_decoder_panics();
     // Without a handler Ctrl-C still works, only less cleanly.
     let _ = ctrlc::set_handler(handler);
     match body(&INTERRUPTED) {

@@ -65,8 +65,8 @@ pub fn main() -> ExitCode {
     run(&arguments).into()
 }
 
-/// Runs the program with `arguments`, of which the first is its name, and returns its exit code. Takes over the signals that stop a program:
-/// for processes that do nothing else.
+/// Runs the program with `arguments`, of which the first is its name, and returns its exit code. Takes over the signals that stop a program,
+/// and the hook of panics: for processes that do nothing else.
 pub fn run(arguments: &[OsString]) -> u8 {
     if let Some(cure) = arguments.get(1).and_then(|first| advice::command_for(first)) {
         return cli::run("pbgi", |_| Err(PbgiError::usage(cure)));
