@@ -123,20 +123,28 @@ impl LasDecoder {
     }
 
     /// Fills `bytes`, a whole number of points. `place` is for messages.
-    pub fn read(&mut self, bytes: &mut [u8], place: impl Fn() -> String) -> Result<(), CloudError> {
-        match &mut self.points {
-            Points::Plain(reader) => guard(&self.path, place, || reader.read_exact(bytes)),
-            Points::Compressed(points) if points.is_recursive => thread::scope(|scope| {
-                let builder = thread::Builder::new().stack_size(STACK_BYTES);
-                let read = || points.read(bytes);
-                let thread = builder
-                    .spawn_scoped(scope, read)
-                    .map_err(|e| CloudError::io(&self.path, "start a thread for", e))?;
-                let joined = || thread.join().unwrap_or_else(|panic| resume_unwind(panic));
-                guard(&self.path, place, joined)
-            }),
-            Points::Compressed(points) => guard(&self.path, place, || points.read(bytes)),
+    pub fn read(
+        &mut self,
+        bytes: &mut [u8],
+        place: impl Fn() -> String + Send,
+    ) -> Result<(), CloudError> {
+        let path = &self.path;
+        let points = match &mut self.points {
+            Points::Plain(reader) => return guard(path, place, || reader.read_exact(bytes)),
+            Points::Compressed(points) => points,
+        };
+        let is_recursive = points.is_recursive;
+        let read = || guard(path, place, || points.read(bytes));
+        if !is_recursive {
+            return read();
         }
+        thread::scope(|scope| {
+            let thread = thread::Builder::new()
+                .stack_size(STACK_BYTES)
+                .spawn_scoped(scope, read)
+                .map_err(|e| CloudError::io(path, "start a thread for", e))?;
+            thread.join().unwrap_or_else(|panic| resume_unwind(panic))
+        })
     }
 }
 

@@ -184,7 +184,7 @@ static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
 /// Runs a tool: `body` gets a flag that Ctrl-C (or a termination signal) sets. An error goes to
 /// standard error after the tool's name, and decides the exit code, which is returned. A second Ctrl-C ends the
-/// process at once.
+/// process at once. Panics of decoders, which become errors, are not printed.
 pub fn run(tool: &str, body: impl FnOnce(&'static AtomicBool) -> Result<(), PbgiError>) -> u8 {
     let handler = || {
         if INTERRUPTED.swap(true, Ordering::Relaxed) {
