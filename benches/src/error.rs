@@ -126,7 +126,7 @@ const RASTER_EDGE_MAX: usize = 64;
 
 /// Solid angles, from coarse to fine.
 fn widths() -> impl Iterator<Item = f32> {
-    (0..30).map(|step| 6.0 * 0.5f32.powf(0.7 * step as f32))
+    (0..38).map(|step| 290.0 * 0.5f32.powf(0.7 * step as f32))
 }
 
 /// Least time that is measured.

@@ -322,3 +322,27 @@ fn thin_boxes_before_walls_take_none_of_their_light() {
         assert!((sum - 1.0).abs() < 0.005, "{solid_angle_sr} sr, {raster_edge} texels: {sum}");
     }
 }
+
+/// A ball that glows, of radius 1, sends what a disk of its size does, πL/d² at the distance d: its lobes, which lie in planes before each other, take nothing of each
+/// other's light.
+#[test]
+fn lobes_of_a_ball_take_nothing_of_each_others_light() {
+    let ball = sphere_directions(2000).map(|normal| {
+        let area = 4.0 * PI / 2000.0;
+        Surfel::new(normal, normal, (area * FRAC_1_PI).sqrt() * 1.2, area).with_radiance([1.0; 3])
+    });
+    let (_folder, octree) = bake_and_open(&ball.collect::<Vec<_>>(), &BuildOptions::default());
+    for distance in [8.0, 24.0f32] {
+        for solid_angle_sr in [0.003, 0.01, 0.04, 0.3] {
+            let settings = GatherSettings { solid_angle_sr, ..GatherSettings::default() };
+            let mean: f32 = sphere_directions(60)
+                .map(|direction| {
+                    let receiver = Receiver::diffuse(direction * distance, -direction);
+                    let found = gather(&octree, &settings, receiver).surface_irradiance[0];
+                    found * distance * distance * FRAC_1_PI / 60.0
+                })
+                .sum();
+            assert!((mean - 1.0).abs() < 0.03, "{distance} {solid_angle_sr}: {mean}");
+        }
+    }
+}

@@ -27,6 +27,8 @@ pub struct Piece {
     pub cosine: f32,
     /// Their radiance: of backs, that of what of a bent surface is still seen from its front, over all that is seen.
     pub radiance: [f32; 3],
+    /// How bent its surfaces are: *h*/(|**V**| + *h*) of its lobe, 0 for a plane and 0.55 for half a sphere.
+    pub bend: f32,
     /// Where in the box it lies, seen along `axis`: all of the section where it is full.
     pub stencil: Stencil,
     /// The axis of the largest component of its normal.
@@ -186,6 +188,7 @@ impl Cluster {
                 end: seen.opacity,
                 solid_angle: seen.solid_angle,
                 cosine: seen.cosine,
+                bend: known.bend,
                 radiance: [
                     lobe.radiance[0] * shining + added[0],
                     lobe.radiance[1] * shining + added[1],

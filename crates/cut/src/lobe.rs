@@ -1,13 +1,17 @@
 //! A lobe of a node: what of it does not depend on the receiver.
 
 use pbgi_format::Lobe;
-use pbgi_math::{Aabb, Stencil, Vec3, central_section_area, stencil_axis, thick_half};
+use pbgi_math::{
+    Aabb, Stencil, Vec3, central_section_area, larger, stencil_axis, thick_half,
+};
 
 /// A lobe of a node: what of it does not depend on the receiver.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct KnownLobe {
     pub lobe: Lobe,
     pub is_flat: bool,
+    /// See [`crate::Piece::bend`].
+    pub bend: f32,
     /// The normal of its plane and a point of it, relative to the file's origin.
     pub normal: Vec3,
     pub point: Vec3,
@@ -36,7 +40,8 @@ impl KnownLobe {
         let half = thick_half(bounds.min, bounds.max);
         let length = lobe.vector.length();
         let is_flat = lobe.is_flat();
-        let mut known = Self { lobe: *lobe, is_flat, covered: 1.0, ..Self::default() };
+        let bend = lobe.width / larger(length + lobe.width, f32::MIN_POSITIVE);
+        let mut known = Self { lobe: *lobe, is_flat, bend, covered: 1.0, ..Self::default() };
         if !is_flat {
             known.lobe.stencil = Stencil::FULL;
             return known;

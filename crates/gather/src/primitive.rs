@@ -1,7 +1,7 @@
 //! Surfels and pieces of clusters as shapes that rasters draw.
 
 use pbgi_cut::{Cluster, Piece, RECTANGLE_RIM, SurfelSeen, SurfelShape, TRIANGLE_RIM};
-use pbgi_math::{Vec3, patch_solid_angle_factor};
+use pbgi_math::{Vec3, larger, patch_solid_angle_factor};
 use pbgi_raster::{Disk, Ink, Lanes, Place, Section, Shape, Tile, Triangle, Veil, WideKernel};
 use std::f32::consts::FRAC_1_PI;
 
@@ -12,6 +12,11 @@ const NEIGHBOR_REACHES: f32 = 4.0;
 
 /// Share of a piece's extent by which planes of neighbors on the same surface may lie before its own and not hide it.
 const PIECE_DEPTH: f32 = 0.05;
+
+/// The same over how bent a piece's surfaces are: those of half a sphere, whose bend is 0.55, lie anywhere in its node, and so do the other lobes of a ball,
+/// none of which hides another's light. With 0, 1, 2 and 4 a fire of small balls sends 2.7, 1.8, 1.4 and 1.2 % too little light at the default cut, and has
+/// an error of 4.5, 3.7, 3.5 and 3.4 %; scenes of walls do not change.
+const BENT_DEPTH: f32 = 2.0;
 
 /// The same for rectangles and triangles, whose neighbors' planes differ by what rounding turns them by. Before a facade with things in its wall, where
 /// surfaces send 0.170 W·m⁻², a receiver has 0.169 with 0.02 and 0.140 with 0.5, at 64 texels and by every surfel.
@@ -41,7 +46,8 @@ fn piece_tolerance(cluster: &Cluster, piece: &Piece) -> f32 {
     } else if piece.is_round {
         cluster.spread
     } else {
-        neighbor_tolerance(PIECE_DEPTH, cluster.spread, piece.cosine)
+        let depth = larger(PIECE_DEPTH, BENT_DEPTH * piece.bend);
+        neighbor_tolerance(depth, cluster.spread, piece.cosine)
     }
 }
 
