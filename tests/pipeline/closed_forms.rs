@@ -346,3 +346,49 @@ fn lobes_of_a_ball_take_nothing_of_each_others_light() {
         }
     }
 }
+
+/// A ball of particles that glow, of radius 1 and this optical depth along its diameter; places by a generator of numbers evenly in the ball.
+fn glowing_ball(depth: f32, count: usize) -> Vec<Surfel> {
+    let mut state = 0x9e37_79b9u32;
+    let mut next = move || {
+        state ^= state << 13;
+        state ^= state >> 17;
+        state ^= state << 5;
+        (state >> 8) as f32 / (1 << 23) as f32 - 1.0
+    };
+    // Extinction times the ball's volume is the area that all show.
+    let area = 2.0 / 3.0 * PI * depth / count as f32;
+    let places = std::iter::from_fn(|| Some(Vec3::new(next(), next(), next())));
+    let places = places.filter(|place| place.length_squared() < 1.0).take(count);
+    places
+        .map(|place| {
+            let surfel = Surfel::new(place, Vec3::Y, (area * FRAC_1_PI).sqrt(), 2.0 * area);
+            surfel.with_flags(SurfelFlags::ISOTROPIC).with_radiance([1.0; 3])
+        })
+        .collect()
+}
+
+/// Particles that glow and hide each other send what a medium does, however many of them a node holds: with the extinction k, radiance is 1 − e^(−k c) along a chord
+/// c, and irradiance at the distance d from the middle of a ball of radius 1 is (2π/d²) ∫ (1 − e^(−2k√(1−b²))) b db.
+#[test]
+fn a_ball_of_glowing_particles_shines_as_a_medium() {
+    for (depth, at_most) in [(0.3, 0.033), (1.0, 0.09f32)] {
+        let (_folder, octree) =
+            bake_and_open(&glowing_ball(depth, 20_000), &BuildOptions::default());
+        let integral = 0.5 - (1.0 - (1.0 + depth) * (-depth).exp()) / (depth * depth);
+        for distance in [1.5, 4.0, 16.0f32] {
+            let right = 2.0 * PI / (distance * distance) * integral;
+            for solid_angle_sr in [0.003, 0.04, 0.3] {
+                let settings = GatherSettings { solid_angle_sr, ..GatherSettings::default() };
+                let mean: f32 = sphere_directions(60)
+                    .map(|direction| {
+                        let receiver = Receiver::diffuse(direction * distance, -direction);
+                        gather(&octree, &settings, receiver).surface_irradiance[0] / right / 60.0
+                    })
+                    .sum();
+                let place = format_args!("depth {depth}, distance {distance}, {solid_angle_sr} sr");
+                assert!((mean - 1.0).abs() < at_most, "{place}: {mean}");
+            }
+        }
+    }
+}

@@ -16,7 +16,7 @@ const BEGIN: &str = "<!-- dump: begin -->\n```text\n";
 const END: &str = "```\n<!-- dump: end -->\n";
 
 fn golden_path() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("golden/v6-five-surfels.pbgi")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("golden/v7-five-surfels.pbgi")
 }
 
 fn document_path() -> PathBuf {
@@ -90,12 +90,12 @@ fn todays_reader_reads_the_golden_file() {
 
 #[test]
 fn files_of_older_versions_are_refused() {
-    for version in 1..=5 {
+    for version in 1..=6 {
         let name = format!("golden/v{version}-five-surfels.pbgi");
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(name);
         let error = Octree::open(&path, &OpenOptions::default()).err().unwrap().to_string();
         let expected = format!(
-            "header: version: found {version}, expected 6 (the file is of an older program: bake it again)"
+            "header: version: found {version}, expected 7 (the file is of an older program: bake it again)"
         );
         assert!(error.contains(&expected), "{error}");
     }

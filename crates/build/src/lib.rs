@@ -6,11 +6,13 @@
 
 mod aggregate;
 mod clumping;
+mod crowd;
 mod error;
 mod items;
 mod lobe_sum;
 mod loose;
 mod octree;
+mod outline;
 mod pack;
 mod pages;
 mod pieces;
@@ -23,6 +25,7 @@ pub use aggregate::NodeAggregate;
 pub use error::BuildError;
 pub use lobe_sum::LobeSum;
 pub use octree::{build_octree, build_octree_from_pieces};
+pub use outline::{NarrowOutline, Outline, Outlines};
 pub use reduce::LobeSums;
 
 use pbgi_cloud::Surfel;

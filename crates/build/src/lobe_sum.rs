@@ -1,5 +1,6 @@
 //! Sums over surfels of similar normals and radiance.
 
+use crate::outline::{Outline, Outlines};
 use pbgi_cloud::{Surfel, SurfelFlags};
 use pbgi_format::Lobe;
 use pbgi_math::{Aabb, DVec3, Frame, Stencil, Vec3, section_area, stencil_axis};
@@ -28,10 +29,8 @@ pub struct LobeSum {
     /// Where sheets are; empty where backs block.
     pub bounds: Aabb,
     /// Where in the node's box the surfels lie, once that box is known.
-    pub stencil: Stencil,
-    /// Cells that they cover, seen along the stencil's axis: Σ of the covered shares; of loose ones, of those that they cover at random.
-    pub stencil_area: f32,
-    /// Of a sheet that is not flat, the clumping index of its node.
+    pub outlines: Outlines,
+    /// Of a sheet that is not flat, and of loose surfels that are not, the clumping index of its node.
     pub clumping: f32,
 }
 
@@ -40,6 +39,9 @@ const PARALLEL: f64 = 1e-4;
 
 /// Distance of two sheets' planes, as a share of the smaller one's width, up to which they are pieces of one sheet.
 const SAME_SHEET: f64 = 0.25;
+
+/// Area over length of the vector area at which the width *h* of a lobe is a tenth of |**V**| + *h*: with *k* = 1/9 that is √(1 + *k*²) + *k*² asinh(1/*k*).
+const FLAT_SHEET_AREA: f64 = 1.041_876_7;
 
 /// Area of a surfel as lobes count it: see [`LobeSum::area`].
 pub(crate) fn lobe_area(surfel: &Surfel) -> f64 {
@@ -69,8 +71,7 @@ impl LobeSum {
             } else {
                 center.inflated(0.5 * surfel.area.sqrt())
             },
-            stencil: Stencil::FULL,
-            stencil_area: 0.0,
+            outlines: Outlines::default(),
             clumping: 1.0,
         }
     }
@@ -132,6 +133,11 @@ impl LobeSum {
         !self.blocks_back && !self.is_loose()
     }
 
+    /// Whether a sheet or loose surfels are drawn as a piece of their plane: whether [`Lobe::is_flat`] but for rounding.
+    pub(crate) fn is_flat_sheet(&self) -> bool {
+        self.area <= FLAT_SHEET_AREA * self.vector.length()
+    }
+
     /// Axis along which its stencil is looked at, which is that of the direction as it is stored.
     pub(crate) fn stencil_axis(&self) -> usize {
         stencil_axis(Lobe::decoded_direction(self.vector.as_vec3()))
@@ -152,6 +158,10 @@ impl LobeSum {
     pub fn to_lobe(self, bounds: &Aabb) -> Lobe {
         let length = self.vector.length();
         let (mut height, mut fill) = (0.0, 1.0);
+        let outline = match self.outlines {
+            Outlines::Plane(outline) => outline,
+            Outlines::Views(_) => Outline::default(),
+        };
         if length > 0.0 {
             let normal = self.vector / length;
             let (low, high) = (bounds.min.as_dvec3(), bounds.max.as_dvec3());
@@ -164,18 +174,17 @@ impl LobeSum {
             // The covered cells, laid into the plane.
             let edges = half * 2.0;
             let face = edges[(axis + 1) % 3] * edges[(axis + 2) % 3];
-            let section = if self.stencil == Stencil::FULL {
+            let section = if outline.stencil == Stencil::FULL {
                 section_area(half, normal, height * reach)
             } else {
-                face * f64::from(self.stencil.share()) / normal[axis].abs()
+                face * f64::from(outline.stencil.share()) / normal[axis].abs()
             };
             // Parallel sheets are boards and panes, and closed; leaves are never parallel.
             let is_board = length >= self.area * (1.0 - PARALLEL);
             let covered = if is_board { length } else { length * (self.covered / self.area) };
             fill = (covered / section.max(f64::MIN_POSITIVE)).min(1.0);
             if self.is_loose() {
-                let cells = self.stencil.0.count_ones().max(1);
-                fill = (f64::from(self.stencil_area) / f64::from(cells)).min(1.0);
+                fill = f64::from(outline.share());
             }
         }
         // Outlines are of all surfels, as what is buried lies within others'; what is shown is of those that are seen, so that light is kept.
@@ -188,10 +197,16 @@ impl LobeSum {
             height: height as f32,
             fill: fill as f32,
             is_loose: self.is_loose(),
-            stencil: self.stencil,
+            stencil: outline.stencil,
         };
-        if lobe.is_sheet() && !lobe.is_flat() {
-            lobe.set_clumping(self.clumping);
+        if !lobe.is_flat() {
+            lobe.stencil = match self.outlines {
+                Outlines::Plane(_) => Stencil::FULL,
+                Outlines::Views(views) => Stencil::of_views(views.map(|view| view.stencil)),
+            };
+            if !lobe.is_solid() {
+                lobe.set_clumping(self.clumping);
+            }
         }
         lobe
     }
@@ -284,6 +299,16 @@ mod tests {
         // 1 − (1 − ½)² of the four.
         assert!((low.covered - 3.0).abs() < 0.1, "{low:?} {high:?}");
         assert!(low.area == 4.0);
+    }
+
+    #[test]
+    fn sheets_are_flat_for_their_builder_as_for_their_reader() {
+        let bounds = Aabb { min: Vec3::NEG_ONE, max: Vec3::ONE };
+        for (share, is_flat) in [(1.0, true), (0.9601, true), (0.9597, false), (0.3, false)] {
+            let mut lobe = sheet(0.0, 0.0, |_, _| true);
+            lobe.vector *= share;
+            assert_eq!((lobe.is_flat_sheet(), lobe.to_lobe(&bounds).is_flat()), (is_flat, is_flat));
+        }
     }
 
     #[test]

@@ -154,7 +154,7 @@ impl Cluster {
             }
         }
         if areas.loose > 0.0 {
-            thin_loose(&mut shown, lobes, center, half);
+            thin_loose(&mut shown, lobes, [center, half], toward_receiver);
         }
         let mut added = [0.0; 3];
         if areas.backs > 0.0 && areas.fronts >= HIDING * areas.backs {
@@ -168,6 +168,7 @@ impl Cluster {
         (self.low, self.high) = (low - margin, high + margin);
         self.spread = half.length() * inverse_distance;
         self.count = 0;
+        let round = RoundView::of(&shown, &areas, center);
         // By solid things, and by sheets.
         let (mut covered, mut sheets_seed) = ([0.0; 2], None);
         for place in order {
@@ -198,6 +199,7 @@ impl Cluster {
                 axis: known.axis,
                 seed,
             };
+            let opacity = round.show(seen, known, piece);
             let closed = if seen.is_sheet { SHEET_CLOSED } else { SOLID_CLOSED };
             if seen.is_loose {
                 piece.seed = lobe_seed(seed, number);
@@ -209,7 +211,7 @@ impl Cluster {
             } else if seen.is_front {
                 let covered = &mut covered[usize::from(seen.is_sheet)];
                 piece.start = *covered;
-                piece.end = (*covered + seen.opacity).min(1.0);
+                piece.end = (*covered + opacity).min(1.0);
                 *covered = piece.end;
                 if seen.is_sheet {
                     piece.seed = *sheets_seed.get_or_insert_with(|| lobe_seed(seed, number));
@@ -243,28 +245,90 @@ impl Areas {
     }
 }
 
+/// Share of an optical depth that is not hidden by what is before it: (1 − e^−τ)/τ.
+#[inline(always)]
+fn unhidden(depth: f32) -> f32 {
+    if depth > DEPTH_MIN { (1.0 - (-depth).exp()) / depth } else { 1.0 }
+}
+
+/// Least optical depth at which anything hides anything.
+const DEPTH_MIN: f32 = 1e-3;
+
 /// Lets loose lobes cover `1 − e^−τ` of what they are drawn as, where their area is `τ` times that: the optical depth of a piece times its outline is
 /// the area of its surfels, whatever the outline, so that the depths along a line of sight are right on the mean. Each is a veil of its own: pieces of
 /// one node, like those behind each other, multiply what they leave open.
+///
+/// What is hidden inside does not shine: of round ones, the clumping index tells how much that is.
 #[inline(always)]
-fn thin_loose(shown: &mut ShownLobes, lobes: &[KnownLobe], center: Vec3, half: Vec3) {
+fn thin_loose(
+    shown: &mut ShownLobes,
+    lobes: &[KnownLobe],
+    [center, half]: [Vec3; 2],
+    toward_receiver: Vec3,
+) {
     let grown = (1.0 + 2.0 * Cluster::REACH).powi(2);
+    let mut round = 0.0;
+    for seen in shown.iter() {
+        round += if seen.is_loose && !seen.is_flat { seen.area } else { 0.0 };
+    }
+    let depth = round / box_silhouette(half, toward_receiver);
     for (seen, known) in shown.iter_mut().zip(lobes).filter(|(seen, _)| seen.is_loose) {
-        let (depth, outline) = if seen.is_flat {
-            let cosine = seen.cosine;
-            (known.depth_per_area * seen.area / cosine, known.outline * cosine)
-        } else {
-            // Those of cells side by side tile the plane, so that each line of sight meets one of each layer.
-            let axis = stencil_axis(center);
-            let cosine = center[axis].abs() / center.length();
-            let face = 4.0 * half[(axis + 1) % 3] * half[(axis + 2) % 3];
-            seen.inverse = Vec3::ZERO;
-            seen.inverse[axis] = 1.0 / center[axis];
-            (seen.area / (face * cosine * grown), face * cosine * grown)
-        };
-        seen.opacity = 1.0 - (-depth).exp();
-        // What is hidden inside does not shine.
-        seen.solid_angle *= (seen.opacity * outline / seen.area).min(1.0);
+        if seen.is_flat {
+            let depth = known.depth_per_area * seen.area / seen.cosine;
+            let outline = known.outline * seen.cosine;
+            seen.opacity = 1.0 - (-depth).exp();
+            seen.solid_angle *= (seen.opacity * outline / seen.area).min(1.0);
+            continue;
+        }
+        // Those of cells side by side tile the plane, so that each line of sight meets one of each layer.
+        let axis = stencil_axis(center);
+        let cosine = center[axis].abs() / center.length();
+        let face = 4.0 * half[(axis + 1) % 3] * half[(axis + 2) % 3];
+        let outline = face * known.lobe.stencil.view(axis).share() * cosine * grown;
+        seen.inverse = Vec3::ZERO;
+        seen.inverse[axis] = 1.0 / center[axis];
+        seen.opacity = 1.0 - (-seen.area / outline).exp();
+        seen.solid_angle *= unhidden(known.lobe.clumping() * depth);
+    }
+}
+
+/// How the round lobes of a node are drawn: in the outlines that they have along the axis nearest to the line of sight.
+struct RoundView {
+    axis: usize,
+    /// Share of the whole section that all sheets cover.
+    sheets: f32,
+}
+
+impl RoundView {
+    #[inline(always)]
+    fn of(shown: &ShownLobes, areas: &Areas, center: Vec3) -> Self {
+        let mut sheets = 0.0;
+        if areas.sheets > 0.0 {
+            for seen in shown {
+                sheets += if seen.is_sheet && !seen.is_flat { seen.opacity } else { 0.0 };
+            }
+        }
+        Self { axis: stencil_axis(center), sheets }
+    }
+
+    /// Gives a lobe's piece its outline, and tells which share of that it covers. Sheets that cover more than their outline are what encloses a box: seen at a slant,
+    /// they hide all of it.
+    #[inline(always)]
+    fn show(&self, seen: &Shown, known: &KnownLobe, piece: &mut Piece) -> f32 {
+        if seen.is_flat {
+            return seen.opacity;
+        }
+        piece.axis = self.axis as u8;
+        piece.stencil = known.lobe.stencil.view(self.axis);
+        if !seen.is_sheet {
+            return seen.opacity;
+        }
+        let share = piece.stencil.share();
+        if self.sheets > share {
+            piece.stencil = Stencil::FULL;
+            return seen.opacity;
+        }
+        seen.opacity / share
     }
 }
 
@@ -405,7 +469,7 @@ fn thin_sheets(shown: &mut ShownLobes, lobes: &[KnownLobe], total: f32, silhouet
     let first = shown.iter().zip(lobes).find(|(seen, _)| is_round(seen));
     let Some((_, known)) = first else { return };
     let depth = known.lobe.clumping() * total / silhouette;
-    let kept = (silhouette * (1.0 - (-depth).exp()) / total).min(1.0);
+    let kept = (known.lobe.clumping() * unhidden(depth)).min(1.0);
     for seen in shown.iter_mut().filter(|seen| is_round(seen)) {
         seen.opacity *= kept;
         seen.solid_angle *= kept;
@@ -551,6 +615,35 @@ mod tests {
                 let distance2 = (receiver - 0.5).length_squared();
                 assert!((shining * distance2 / expected - 1.0).abs() < 0.02, "{shining}");
             }
+        }
+    }
+
+    #[test]
+    fn round_lobes_are_drawn_in_the_outline_along_the_nearest_axis() {
+        let bounds = Aabb { min: Vec3::ZERO, max: Vec3::ONE };
+        // A quarter of the box seen along y, an eighth seen along z.
+        let stencil = Stencil::of_views([u16::MAX, 0x0033, 0x0003]);
+        let see = |is_loose: bool, area: f32, receiver: Vec3| {
+            let lobe = Lobe { width: area, fill: 0.5, is_loose, stencil, ..Lobe::default() };
+            let cluster = look(receiver, &[KnownLobe::new(&lobe, &bounds)], 8);
+            let [piece] = cluster.pieces() else { panic!("one piece") };
+            *piece
+        };
+        for (receiver, axis, share) in
+            [(Vec3::new(0.5, 1000.0, 0.5), 1, 0.25), (Vec3::new(0.5, 0.5, -1000.0), 2, 0.125)]
+        {
+            for is_loose in [false, true] {
+                let piece = see(is_loose, 0.02, receiver);
+                assert_eq!((piece.stencil, piece.axis), (stencil.view(axis), axis as u8));
+                // All of its area, half of its width, lies in there: of sheets as what they cover, of what is loose as depth.
+                let depth = if is_loose { -(1.0 - piece.end).ln() } else { piece.end };
+                assert!((depth * share / 0.01 - 1.0).abs() < 0.03, "{is_loose}: {depth}");
+            }
+            // Sheets that cover more than that enclose a box.
+            let closed = see(false, 0.8, receiver);
+            assert_eq!(closed.stencil, Stencil::FULL);
+            assert!(closed.end > 0.3 && closed.end < 0.4, "{}", closed.end);
+            assert_eq!(see(true, 0.8, receiver).stencil, stencil.view(axis));
         }
     }
 

@@ -1,9 +1,7 @@
 //! A lobe of a node: what of it does not depend on the receiver.
 
 use pbgi_format::Lobe;
-use pbgi_math::{
-    Aabb, Stencil, Vec3, central_section_area, larger, stencil_axis, thick_half,
-};
+use pbgi_math::{Aabb, Stencil, Vec3, central_section_area, larger, stencil_axis, thick_half};
 
 /// A lobe of a node: what of it does not depend on the receiver.
 #[derive(Clone, Copy, Debug, Default)]
@@ -43,7 +41,10 @@ impl KnownLobe {
         let bend = lobe.width / larger(length + lobe.width, f32::MIN_POSITIVE);
         let mut known = Self { lobe: *lobe, is_flat, bend, covered: 1.0, ..Self::default() };
         if !is_flat {
-            known.lobe.stencil = Stencil::FULL;
+            // What is solid and round lies anywhere in the box.
+            if lobe.is_solid() {
+                known.lobe.stencil = Stencil::FULL;
+            }
             return known;
         }
         let normal = lobe.vector * (1.0 / length);

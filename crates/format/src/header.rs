@@ -9,7 +9,7 @@ use pbgi_math::{Aabb, DVec3, RootCube, Vec3};
 pub const MAGIC: [u8; 8] = *b"PBGITREE";
 
 /// Version of the layout; readers accept this one only.
-pub const FORMAT_VERSION: u32 = 6;
+pub const FORMAT_VERSION: u32 = 7;
 
 /// Bytes of the header.
 pub const HEADER_BYTES: usize = 256;

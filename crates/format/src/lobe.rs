@@ -25,6 +25,9 @@ const LOOSE_BIT: u8 = 0x80;
 /// Largest clumping index that is stored.
 const CLUMPING_MAX: f32 = 2.0;
 
+/// Steps of `h/(|V| + h)`.
+const WIDTH_STEPS: f32 = 255.0;
+
 /// Steps of a fill.
 const FILL_STEPS: f32 = 127.0;
 
@@ -53,11 +56,12 @@ pub struct Lobe {
     /// a share of how far the box reaches in that direction, −1..=1.
     pub height: f32,
     /// Area of the surfels, seen along `vector`, over that of what the stencil leaves of the section of the box by that plane, 0..=1. Of
-    /// loose ones, the share of it that they cover; of a sheet that is not flat, half of its node's clumping index.
+    /// loose ones, the share of it that they cover; of sheets and loose ones that are not flat, half of their node's clumping index.
     pub fill: f32,
     /// Whether the surfels make no surface: they lie anywhere, and hide each other at random.
     pub is_loose: bool,
-    /// Where in the node's stored box the surfels lie, seen along the largest axis of the decoded vector ([`pbgi_math::stencil_axis`]).
+    /// Where in the node's stored box the surfels lie, seen along the largest axis of the decoded vector ([`pbgi_math::stencil_axis`]); of sheets and loose ones that
+    /// are not flat, seen along each axis ([`Stencil::view`]).
     pub stencil: Stencil,
 }
 
@@ -77,13 +81,19 @@ impl Lobe {
         if self.blocks_back { self.front_area(-d) } else { 0.0 }
     }
 
-    /// Whether the surfels are drawn as a piece of their plane.
+    /// Whether the surfels are drawn as a piece of their plane. The limits lie between widths that are stored, so that a lobe and what is read of it agree.
     #[must_use]
     #[inline(always)]
     pub fn is_flat(&self) -> bool {
-        let is_solid = self.blocks_back && !self.is_loose;
-        let flat_width = if is_solid { SOLID_FLAT_WIDTH } else { SHEET_FLAT_WIDTH };
+        let flat_width = if self.is_solid() { SOLID_FLAT_WIDTH } else { SHEET_FLAT_WIDTH };
         self.width <= flat_width * (self.vector.length() + self.width)
+    }
+
+    /// Whether the surfels have two sides, and make surfaces.
+    #[must_use]
+    #[inline(always)]
+    pub fn is_solid(&self) -> bool {
+        self.blocks_back && !self.is_loose
     }
 
     /// Whether the surfels have one side only, and make surfaces: two such back to back are a leaf, or cloth.
@@ -94,7 +104,7 @@ impl Lobe {
     }
 
     /// The clumping index of the node of a sheet that is not flat: which share of its optical depth would, in a turbid medium that fills the node's box, cover
-    /// as much as the sheets do (Nilson 1971).
+    /// as much as the sheets do (Nilson 1971). Of loose surfels that are not flat, which share of it they have before each other.
     #[must_use]
     #[inline(always)]
     pub fn clumping(&self) -> f32 {
@@ -150,7 +160,7 @@ impl Lobe {
         let fill = (self.fill.clamp(0.0, 1.0) * FILL_STEPS).round() as u8;
         let loose = if self.is_loose { LOOSE_BIT } else { 0 };
         let width = (self.width / size.max(f32::MIN_POSITIVE)).clamp(0.0, 1.0);
-        out.extend_from_slice(&[(width * 255.0).round() as u8, fill | loose]);
+        out.extend_from_slice(&[(width * WIDTH_STEPS).round() as u8, fill | loose]);
         if channels == Channels::Rgb {
             let stored = SharedExponent::from_rgb(self.radiance.map(|c| c / radiance_scale));
             out.extend_from_slice(&stored.0.to_le_bytes());
@@ -170,7 +180,7 @@ impl Lobe {
         let place = read_u32(bytes, 0);
         let size_code = read_u16(bytes, 4);
         let size = area.decode(size_code);
-        let width = size * f32::from(bytes[6]) * (1.0 / 255.0);
+        let width = size * f32::from(bytes[6]) * (1.0 / WIDTH_STEPS);
         Self {
             vector: decode_octahedral24(place) * (size - width),
             width,

@@ -45,6 +45,20 @@ impl Stencil {
         Self(cells | cells << 8)
     }
 
+    /// Narrow stencils of what is seen along each axis, in 16 bits each; the others are set.
+    #[must_use]
+    pub fn of_views(narrow: [u16; 3]) -> Self {
+        let [x, y, z] = narrow.map(u64::from);
+        Self(x | y << 16 | z << 32 | u64::from(u16::MAX) << 48)
+    }
+
+    /// Of [`Self::of_views`], the one along this axis.
+    #[must_use]
+    #[inline(always)]
+    pub fn view(self, axis: usize) -> Self {
+        Self::from_narrow((self.0 >> (16 * axis)) as u16)
+    }
+
     #[inline]
     fn square(index: usize) -> u64 {
         0x0303 << (16 * (index / 4) + 2 * (index % 4))
@@ -253,6 +267,18 @@ mod tests {
         assert_eq!(Stencil::from_narrow(u16::MAX), Stencil::FULL);
         assert_eq!(Stencil::from_narrow(0b10), Stencil(0x0c0c));
         assert_eq!(Stencil(0x0c04).to_narrow(), None);
+    }
+
+    #[test]
+    fn views_come_back() {
+        let narrow = [0x8421, 0, u16::MAX];
+        let views = Stencil::of_views(narrow);
+        for (axis, narrow) in narrow.into_iter().enumerate() {
+            assert_eq!(views.view(axis), Stencil::from_narrow(narrow));
+        }
+        // What has none is seen whole along each.
+        assert_eq!(Stencil::of_views([u16::MAX; 3]), Stencil::FULL);
+        assert_eq!(Stencil::FULL.view(1), Stencil::FULL);
     }
 
     #[test]
