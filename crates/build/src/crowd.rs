@@ -45,12 +45,10 @@ impl Crowd {
     pub fn of_parts<'s>(parts: impl Iterator<Item = &'s Self> + Clone) -> Option<Self> {
         let mut rest = parts.clone();
         let mut sum = *rest.next()?;
-        let mut before = 1;
-        for part in rest {
+        for (before, part) in (1..).zip(rest) {
             for other in parts.clone().take(before) {
                 sum.hidden += part.hidden_with(other);
             }
-            before += 1;
             sum.shown += part.shown;
             sum.moment += part.moment;
             sum.second += part.second;

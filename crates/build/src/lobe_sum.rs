@@ -133,7 +133,7 @@ impl LobeSum {
         !self.blocks_back && !self.is_loose()
     }
 
-    /// Whether a sheet or loose surfels are drawn as a piece of their plane: whether [`Lobe::is_flat`] but for rounding.
+    /// Whether a sheet is drawn as a piece of its plane: [`Lobe::is_flat`] but for rounding.
     pub(crate) fn is_flat_sheet(&self) -> bool {
         self.area <= FLAT_SHEET_AREA * self.vector.length()
     }

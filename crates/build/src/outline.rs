@@ -51,9 +51,9 @@ impl NarrowOutline {
 /// The outlines of a lobe.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Outlines {
-    /// What is drawn in its plane has one, seen along [`LobeSum::stencil_axis`]; so has a solid thing, however round.
+    /// What is drawn in its plane has one, seen along [`LobeSum::stencil_axis`]; so have solid things and loose surfels, however round.
     Plane(Outline),
-    /// Sheets and loose surfels that are round have one along each axis, of squares of four cells.
+    /// Sheets that are round have one along each axis, of squares of four cells.
     Views([NarrowOutline; 3]),
 }
 
@@ -64,6 +64,7 @@ impl Default for Outlines {
 }
 
 /// The outlines of a lobe while they are summed.
+#[expect(clippy::large_enum_variant, reason = "nearly all are the large one")]
 pub(crate) enum OutlineSum {
     /// Seen along this axis.
     Plane(usize, StencilSum),
@@ -152,7 +153,7 @@ impl OutlineSum {
                     NarrowOutline { stencil: u16::MAX, covered }
                 }))
             }
-            Self::Views(sums) => view_outlines(*sums, lobe),
+            Self::Views(sums) => view_outlines(*sums),
         }
     }
 
@@ -160,7 +161,7 @@ impl OutlineSum {
     pub fn finish_inner(self, lobe: &LobeSum) -> Outlines {
         match self {
             Self::Plane(_, sum) => plane_outline(sum, lobe, |sum, least| sum.finish(least)),
-            Self::Views(sums) => view_outlines(*sums, lobe),
+            Self::Views(sums) => view_outlines(*sums),
             Self::Whole(_) => unreachable!("an inner node has no surfels"),
         }
     }
@@ -168,7 +169,7 @@ impl OutlineSum {
 
 /// Whether it is seen differently along each axis.
 fn has_views(lobe: &LobeSum) -> bool {
-    (!lobe.blocks_back || lobe.is_loose()) && !lobe.is_flat_sheet()
+    lobe.is_sheet() && !lobe.is_flat_sheet()
 }
 
 fn plane_outline(
@@ -183,12 +184,10 @@ fn plane_outline(
     Outlines::Plane(Outline { stencil, covered })
 }
 
-fn view_outlines(sums: [StencilSum; 3], lobe: &LobeSum) -> Outlines {
+fn view_outlines(sums: [StencilSum; 3]) -> Outlines {
     Outlines::Views(sums.map(|sum| {
-        let at_random = sum.covered_at_random();
         let (stencil, covered) = sum.finish_narrow(ROUND_CELL);
-        let stencil = stencil.to_narrow().unwrap_or(u16::MAX);
-        NarrowOutline { stencil, covered: if lobe.is_loose() { at_random } else { covered } }
+        NarrowOutline { stencil: stencil.to_narrow().unwrap_or(u16::MAX), covered }
     }))
 }
 
@@ -199,16 +198,14 @@ mod tests {
     use pbgi_cloud::SurfelFlags;
     use pbgi_testkit::sphere_directions;
 
-    /// Leaves of all orientations, or particles, in this box.
-    fn leaf(bounds: &Aabb, is_loose: bool) -> NodeAggregate {
-        let flags = if is_loose { SurfelFlags::ISOTROPIC } else { SurfelFlags::FRONT_ONLY };
+    /// Leaves of all orientations in this box.
+    fn leaf(bounds: &Aabb) -> NodeAggregate {
         let surfels: Vec<Surfel> = sphere_directions(64)
             .enumerate()
             .map(|(i, normal)| {
                 let step = Vec3::new(0.819_172_5, 0.671_043_6, 0.549_700_5) * i as f32;
                 let place = bounds.min + bounds.extent() * step.fract();
-                let radius = if is_loose { 0.005 } else { 0.2 };
-                Surfel::new(place, normal, radius, 1e-4).with_flags(flags)
+                Surfel::new(place, normal, 3.0, 1e-4).with_flags(SurfelFlags::FRONT_ONLY)
             })
             .collect();
         NodeAggregate::from_surfels(&surfels)
@@ -218,34 +215,32 @@ mod tests {
     fn round_things_lie_where_the_parts_of_their_node_do() {
         // Two opposite eighths of a box from 0 to 8.
         let part = |low: f32| Aabb { min: Vec3::splat(low), max: Vec3::splat(low + 4.0) };
-        for is_loose in [false, true] {
-            let parts = [leaf(&part(0.0), is_loose), leaf(&part(4.0), is_loose)];
-            let whole = NodeAggregate::from_children(parts.iter());
-            let round = |node: &NodeAggregate| -> Vec<Outlines> {
-                node.lobes.iter().map(|lobe| lobe.outlines).collect()
-            };
-            // A leaf is seen whole.
-            for outlines in round(&parts[0]) {
-                let Outlines::Views(views) = outlines else { panic!("{outlines:?}") };
-                assert!(views.iter().all(|view| view.stencil == u16::MAX && view.covered > 0.0));
-            }
-            let lobes = round(&whole);
-            for outlines in &lobes {
-                let Outlines::Views(views) = outlines else { panic!("{outlines:?}") };
-                // Along each axis two squares on a diagonal, of which random places leave the rim out here and there.
-                for view in views {
-                    assert_eq!(view.stencil & !0xcc33, 0, "{view:?}");
-                    assert!(view.stencil.count_ones() >= 4, "{view:?}");
-                }
-            }
-            let all = |axis: usize| {
-                let of = |o: &Outlines| match o {
-                    Outlines::Views(views) => views[axis].stencil,
-                    Outlines::Plane(_) => 0,
-                };
-                lobes.iter().fold(0, |all, outlines| all | of(outlines))
-            };
-            assert_eq!([0, 1, 2].map(all), [0xcc33; 3]);
+        let parts = [leaf(&part(0.0)), leaf(&part(4.0))];
+        let whole = NodeAggregate::from_children(parts.iter());
+        let round = |node: &NodeAggregate| -> Vec<Outlines> {
+            node.lobes.iter().map(|lobe| lobe.outlines).collect()
+        };
+        // A leaf is seen whole.
+        for outlines in round(&parts[0]) {
+            let Outlines::Views(views) = outlines else { panic!("{outlines:?}") };
+            assert!(views.iter().all(|view| view.stencil == u16::MAX && view.covered > 0.0));
         }
+        let lobes = round(&whole);
+        for outlines in &lobes {
+            let Outlines::Views(views) = outlines else { panic!("{outlines:?}") };
+            // Along each axis two squares on a diagonal, of which random places leave the rim out here and there.
+            for view in views {
+                assert_eq!(view.stencil & !0xcc33, 0, "{view:?}");
+                assert!(view.stencil.count_ones() >= 4, "{view:?}");
+            }
+        }
+        let all = |axis: usize| {
+            let of = |o: &Outlines| match o {
+                Outlines::Views(views) => views[axis].stencil,
+                Outlines::Plane(_) => 0,
+            };
+            lobes.iter().fold(0, |all, outlines| all | of(outlines))
+        };
+        assert_eq!([0, 1, 2].map(all), [0xcc33; 3]);
     }
 }

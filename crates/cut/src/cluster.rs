@@ -284,7 +284,7 @@ fn thin_loose(
         let axis = stencil_axis(center);
         let cosine = center[axis].abs() / center.length();
         let face = 4.0 * half[(axis + 1) % 3] * half[(axis + 2) % 3];
-        let outline = face * known.lobe.stencil.view(axis).share() * cosine * grown;
+        let outline = face * cosine * grown;
         seen.inverse = Vec3::ZERO;
         seen.inverse[axis] = 1.0 / center[axis];
         seen.opacity = 1.0 - (-seen.area / outline).exp();
@@ -292,7 +292,7 @@ fn thin_loose(
     }
 }
 
-/// How the round lobes of a node are drawn: in the outlines that they have along the axis nearest to the line of sight.
+/// How the round sheets of a node are drawn: in the outlines that they have along the axis nearest to the line of sight.
 struct RoundView {
     axis: usize,
     /// Share of the whole section that all sheets cover.
@@ -315,20 +315,14 @@ impl RoundView {
     /// they hide all of it.
     #[inline(always)]
     fn show(&self, seen: &Shown, known: &KnownLobe, piece: &mut Piece) -> f32 {
-        if seen.is_flat {
+        if seen.is_flat || !seen.is_sheet {
             return seen.opacity;
         }
-        piece.axis = self.axis as u8;
-        piece.stencil = known.lobe.stencil.view(self.axis);
-        if !seen.is_sheet {
-            return seen.opacity;
-        }
-        let share = piece.stencil.share();
-        if self.sheets > share {
-            piece.stencil = Stencil::FULL;
-            return seen.opacity;
-        }
-        seen.opacity / share
+        let stencil = known.lobe.stencil.view(self.axis);
+        let share = stencil.share();
+        let fits = self.sheets <= share;
+        (piece.stencil, piece.axis) = (if fits { stencil } else { Stencil::FULL }, self.axis as u8);
+        if fits { seen.opacity / share } else { seen.opacity }
     }
 }
 
@@ -619,12 +613,12 @@ mod tests {
     }
 
     #[test]
-    fn round_lobes_are_drawn_in_the_outline_along_the_nearest_axis() {
+    fn round_sheets_are_drawn_in_the_outline_along_the_nearest_axis() {
         let bounds = Aabb { min: Vec3::ZERO, max: Vec3::ONE };
         // A quarter of the box seen along y, an eighth seen along z.
         let stencil = Stencil::of_views([u16::MAX, 0x0033, 0x0003]);
-        let see = |is_loose: bool, area: f32, receiver: Vec3| {
-            let lobe = Lobe { width: area, fill: 0.5, is_loose, stencil, ..Lobe::default() };
+        let see = |area: f32, receiver: Vec3| {
+            let lobe = Lobe { width: area, fill: 0.5, stencil, ..Lobe::default() };
             let cluster = look(receiver, &[KnownLobe::new(&lobe, &bounds)], 8);
             let [piece] = cluster.pieces() else { panic!("one piece") };
             *piece
@@ -632,18 +626,14 @@ mod tests {
         for (receiver, axis, share) in
             [(Vec3::new(0.5, 1000.0, 0.5), 1, 0.25), (Vec3::new(0.5, 0.5, -1000.0), 2, 0.125)]
         {
-            for is_loose in [false, true] {
-                let piece = see(is_loose, 0.02, receiver);
-                assert_eq!((piece.stencil, piece.axis), (stencil.view(axis), axis as u8));
-                // All of its area, half of its width, lies in there: of sheets as what they cover, of what is loose as depth.
-                let depth = if is_loose { -(1.0 - piece.end).ln() } else { piece.end };
-                assert!((depth * share / 0.01 - 1.0).abs() < 0.03, "{is_loose}: {depth}");
-            }
+            let piece = see(0.02, receiver);
+            assert_eq!((piece.stencil, piece.axis), (stencil.view(axis), axis as u8));
+            // All of its area, half of its width, lies in there.
+            assert!((piece.end * share / 0.01 - 1.0).abs() < 0.03, "{}", piece.end);
             // Sheets that cover more than that enclose a box.
-            let closed = see(false, 0.8, receiver);
+            let closed = see(0.8, receiver);
             assert_eq!(closed.stencil, Stencil::FULL);
             assert!(closed.end > 0.3 && closed.end < 0.4, "{}", closed.end);
-            assert_eq!(see(true, 0.8, receiver).stencil, stencil.view(axis));
         }
     }
 

@@ -41,8 +41,8 @@ impl KnownLobe {
         let bend = lobe.width / larger(length + lobe.width, f32::MIN_POSITIVE);
         let mut known = Self { lobe: *lobe, is_flat, bend, covered: 1.0, ..Self::default() };
         if !is_flat {
-            // What is solid and round lies anywhere in the box.
-            if lobe.is_solid() {
+            // What is round lies anywhere in the box, unless it is a sheet.
+            if !lobe.is_sheet() {
                 known.lobe.stencil = Stencil::FULL;
             }
             return known;

@@ -60,8 +60,8 @@ pub struct Lobe {
     pub fill: f32,
     /// Whether the surfels make no surface: they lie anywhere, and hide each other at random.
     pub is_loose: bool,
-    /// Where in the node's stored box the surfels lie, seen along the largest axis of the decoded vector ([`pbgi_math::stencil_axis`]); of sheets and loose ones that
-    /// are not flat, seen along each axis ([`Stencil::view`]).
+    /// Where in the node's stored box the surfels lie, seen along the largest axis of the decoded vector ([`pbgi_math::stencil_axis`]); of
+    /// sheets that are not flat, seen along each axis ([`Stencil::view`]).
     pub stencil: Stencil,
 }
 
