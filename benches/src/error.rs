@@ -124,7 +124,7 @@ impl Way {
 /// Texels along a face of the finest raster.
 const RASTER_EDGE_MAX: usize = 64;
 
-/// Solid angles, from coarse to fine.
+/// Solid angles, from coarse to fine: from so coarse that what is a hundred times as bright as usual may be taken whole.
 fn widths() -> impl Iterator<Item = f32> {
     (0..38).map(|step| 290.0 * 0.5f32.powf(0.7 * step as f32))
 }

@@ -3,7 +3,7 @@
 use crate::clumping::SheetCover;
 use crate::crowd::Crowd;
 use crate::lobe_sum::{LobeSum, lobe_area};
-use crate::outline::{OutlineSum, Outlines};
+use crate::outline::{InnerOutlines, LeafOutlines, Outlines};
 use crate::reduce::{LobeReducer, LobeSums};
 use pbgi_cloud::{Surfel, SurfelFlags};
 use pbgi_format::LOBES_MAX;
@@ -73,7 +73,7 @@ impl NodeAggregate {
             }
         }
         node.lobes = reducer.reduce(lobe_total);
-        let mut outlines = node.outline_sums(OutlineSum::of_leaf);
+        let mut outlines = node.outline_sums(LeafOutlines::new);
         let mut shape = Shape::of(&surfels[0]);
         for (surfel, owner) in surfels.iter().zip(&reducer.owners) {
             if (surfel.orientation, surfel.flags) != shape.key {
@@ -81,10 +81,10 @@ impl NodeAggregate {
             }
             let Some(Some(sum)) = outlines.get_mut(*owner as usize) else { continue };
             let (own, _) = shape.area_true_box(surfel);
-            sum.add_surfel(surfel, shape.normal, &own);
+            sum.add(surfel, shape.normal, &own);
         }
         let bounds = node.bounds;
-        node.set_outlines(outlines, |sum, lobe| sum.finish_leaf(lobe, &bounds));
+        node.set_outlines(outlines, |sum, lobe| sum.finish(lobe, &bounds));
         let is_sheet = |&(_, owner): &(&Surfel, &u32)| {
             node.lobes.get(*owner as usize).is_some_and(LobeSum::is_sheet)
         };
@@ -96,17 +96,14 @@ impl NodeAggregate {
     }
 
     /// Empty outlines of its lobes.
-    fn outline_sums(
-        &self,
-        new: impl Fn(&LobeSum, &Aabb) -> OutlineSum,
-    ) -> [Option<OutlineSum>; LOBES_MAX] {
+    fn outline_sums<S>(&self, new: impl Fn(&LobeSum, &Aabb) -> S) -> [Option<S>; LOBES_MAX] {
         std::array::from_fn(|i| self.lobes.get(i).map(|lobe| new(lobe, &self.bounds)))
     }
 
-    fn set_outlines(
+    fn set_outlines<S>(
         &mut self,
-        sums: [Option<OutlineSum>; LOBES_MAX],
-        finish: impl Fn(OutlineSum, &LobeSum) -> Outlines,
+        sums: [Option<S>; LOBES_MAX],
+        finish: impl Fn(S, &LobeSum) -> Outlines,
     ) {
         for (lobe, sum) in self.lobes.iter_mut().zip(sums) {
             if let Some(sum) = sum {
@@ -163,16 +160,16 @@ impl NodeAggregate {
         }
         assert!(sum.surfel_count > 0, "an inner node has children");
         sum.lobes = reducer.reduce(lobe_total);
-        let mut outlines = sum.outline_sums(OutlineSum::of_inner);
+        let mut outlines = sum.outline_sums(InnerOutlines::new);
         let mut owners = reducer.owners.iter();
         for child in children.clone() {
             for (lobe, owner) in child.lobes.iter().zip(&mut owners) {
                 if let Some(Some(sum)) = outlines.get_mut(*owner as usize) {
-                    sum.add_lobe(lobe, &child.bounds);
+                    sum.add(lobe, &child.bounds);
                 }
             }
         }
-        sum.set_outlines(outlines, OutlineSum::finish_inner);
+        sum.set_outlines(outlines, InnerOutlines::finish);
         let sheets = children.clone().filter_map(|child| child.sheets.as_deref());
         sum.set_sheets(SheetCover::of_parts(sheets));
         sum.set_crowd(Crowd::of_parts(children.filter_map(|child| child.crowd.as_ref())));

@@ -63,38 +63,27 @@ impl Default for Outlines {
     }
 }
 
-/// The outlines of a lobe while they are summed.
+/// The outlines of a lobe of a leaf while they are summed.
 #[expect(clippy::large_enum_variant, reason = "nearly all are the large one")]
-pub(crate) enum OutlineSum {
+pub(crate) enum LeafOutlines {
     /// Seen along this axis.
     Plane(usize, StencilSum),
-    Views(Box<[StencilSum; 3]>),
     /// Areas seen along the axes, spread over the box: a leaf's surfels are too few to tell where a round thing ends.
     Whole([f32; 3]),
 }
 
-impl OutlineSum {
+impl LeafOutlines {
     /// For a lobe of a leaf with this box.
-    pub fn of_leaf(lobe: &LobeSum, bounds: &Aabb) -> Self {
-        if has_views(lobe) { Self::Whole([0.0; 3]) } else { Self::plane(lobe, bounds) }
-    }
-
-    /// For a lobe of an inner node with this box.
-    pub fn of_inner(lobe: &LobeSum, bounds: &Aabb) -> Self {
+    pub fn new(lobe: &LobeSum, bounds: &Aabb) -> Self {
         if has_views(lobe) {
-            Self::Views(Box::new(std::array::from_fn(|axis| StencilSum::new(bounds, axis))))
-        } else {
-            Self::plane(lobe, bounds)
+            return Self::Whole([0.0; 3]);
         }
-    }
-
-    fn plane(lobe: &LobeSum, bounds: &Aabb) -> Self {
         let axis = lobe.stencil_axis();
         Self::Plane(axis, StencilSum::new(bounds, axis))
     }
 
-    /// Adds a surfel of this box, whose normal was decoded before.
-    pub fn add_surfel(&mut self, surfel: &Surfel, normal: Vec3, bounds: &Aabb) {
+    /// Adds a surfel with this box, whose normal was decoded before.
+    pub fn add(&mut self, surfel: &Surfel, normal: Vec3, bounds: &Aabb) {
         let seen = if surfel.is_isotropic() { Vec3::splat(0.5) } else { normal.abs() };
         match self {
             Self::Plane(axis, sum) => sum.add(bounds, surfel.area * seen[*axis]),
@@ -103,46 +92,10 @@ impl OutlineSum {
                     *sum += surfel.area * seen;
                 }
             }
-            Self::Views(sums) => {
-                for (sum, seen) in sums.iter_mut().zip(seen.to_array()) {
-                    sum.add(bounds, surfel.area * seen);
-                }
-            }
         }
     }
 
-    /// Adds a lobe of a child with this box.
-    pub fn add_lobe(&mut self, lobe: &LobeSum, bounds: &Aabb) {
-        match (self, &lobe.outlines) {
-            (Self::Plane(_, sum), Outlines::Plane(outline)) => {
-                sum.add_stencil(outline.stencil, lobe.stencil_axis(), bounds, outline.share());
-            }
-            (Self::Plane(axis, sum), Outlines::Views(views)) => {
-                let outline = views[*axis].whole();
-                sum.add_stencil(outline.stencil, *axis, bounds, outline.share());
-            }
-            (Self::Views(sums), Outlines::Views(views)) => {
-                for ((axis, sum), view) in sums.iter_mut().enumerate().zip(views) {
-                    let outline = view.whole();
-                    sum.add_stencil(outline.stencil, axis, bounds, outline.share());
-                }
-            }
-            (Self::Views(sums), Outlines::Plane(outline)) => {
-                let own = lobe.stencil_axis();
-                for (axis, sum) in sums.iter_mut().enumerate() {
-                    if axis == own {
-                        sum.add_stencil(outline.stencil, axis, bounds, outline.share());
-                    } else {
-                        sum.add(bounds, lobe.vector[axis].abs() as f32);
-                    }
-                }
-            }
-            (Self::Whole(_), _) => unreachable!("a leaf has no children"),
-        }
-    }
-
-    /// The outlines of a lobe of a leaf with this box.
-    pub fn finish_leaf(self, lobe: &LobeSum, bounds: &Aabb) -> Outlines {
+    pub fn finish(self, lobe: &LobeSum, bounds: &Aabb) -> Outlines {
         match self {
             Self::Plane(_, sum) => plane_outline(sum, lobe, StencilSum::finish_narrow),
             Self::Whole(areas) => {
@@ -153,16 +106,61 @@ impl OutlineSum {
                     NarrowOutline { stencil: u16::MAX, covered }
                 }))
             }
-            Self::Views(sums) => view_outlines(*sums),
+        }
+    }
+}
+
+/// The outlines of a lobe of an inner node while they are summed.
+pub(crate) enum InnerOutlines {
+    /// Seen along this axis.
+    Plane(usize, StencilSum),
+    Views(Box<[StencilSum; 3]>),
+}
+
+impl InnerOutlines {
+    /// For a lobe of a node with this box.
+    pub fn new(lobe: &LobeSum, bounds: &Aabb) -> Self {
+        if has_views(lobe) {
+            let sums = std::array::from_fn(|axis| StencilSum::new(bounds, axis));
+            return Self::Views(Box::new(sums));
+        }
+        let axis = lobe.stencil_axis();
+        Self::Plane(axis, StencilSum::new(bounds, axis))
+    }
+
+    /// Adds a lobe of a child with this box.
+    pub fn add(&mut self, lobe: &LobeSum, bounds: &Aabb) {
+        let own_axis = lobe.stencil_axis();
+        // Of what has one outline, seen along another axis than its own all that is known is where the box is.
+        let seen_along = |axis: usize| match &lobe.outlines {
+            Outlines::Plane(outline) => (*outline, own_axis),
+            Outlines::Views(views) => (views[axis].whole(), axis),
+        };
+        match self {
+            Self::Plane(axis, sum) => {
+                let (outline, axis) = seen_along(*axis);
+                sum.add_stencil(outline.stencil, axis, bounds, outline.share());
+            }
+            Self::Views(sums) => {
+                for (axis, sum) in sums.iter_mut().enumerate() {
+                    let (outline, of_axis) = seen_along(axis);
+                    if of_axis == axis {
+                        sum.add_stencil(outline.stencil, axis, bounds, outline.share());
+                    } else {
+                        sum.add(bounds, lobe.vector[axis].abs() as f32);
+                    }
+                }
+            }
         }
     }
 
-    /// The outlines of a lobe of an inner node.
-    pub fn finish_inner(self, lobe: &LobeSum) -> Outlines {
+    pub fn finish(self, lobe: &LobeSum) -> Outlines {
         match self {
             Self::Plane(_, sum) => plane_outline(sum, lobe, |sum, least| sum.finish(least)),
-            Self::Views(sums) => view_outlines(*sums),
-            Self::Whole(_) => unreachable!("an inner node has no surfels"),
+            Self::Views(sums) => Outlines::Views(sums.map(|sum| {
+                let (stencil, covered) = sum.finish_narrow(ROUND_CELL);
+                NarrowOutline { stencil: stencil.to_narrow().unwrap_or(u16::MAX), covered }
+            })),
         }
     }
 }
@@ -182,13 +180,6 @@ fn plane_outline(
     let (stencil, covered) = finish(sum, least);
     let covered = if lobe.is_loose() { at_random } else { covered };
     Outlines::Plane(Outline { stencil, covered })
-}
-
-fn view_outlines(sums: [StencilSum; 3]) -> Outlines {
-    Outlines::Views(sums.map(|sum| {
-        let (stencil, covered) = sum.finish_narrow(ROUND_CELL);
-        NarrowOutline { stencil: stencil.to_narrow().unwrap_or(u16::MAX), covered }
-    }))
 }
 
 #[cfg(test)]

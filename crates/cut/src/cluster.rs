@@ -320,7 +320,7 @@ impl RoundView {
         }
         let stencil = known.lobe.stencil.view(self.axis);
         let share = stencil.share();
-        let fits = self.sheets <= share;
+        let fits = self.sheets < share;
         (piece.stencil, piece.axis) = (if fits { stencil } else { Stencil::FULL }, self.axis as u8);
         if fits { seen.opacity / share } else { seen.opacity }
     }

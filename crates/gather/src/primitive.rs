@@ -15,7 +15,8 @@ const PIECE_DEPTH: f32 = 0.05;
 
 /// The same over how bent a piece's surfaces are: those of half a sphere, whose bend is 0.55, lie anywhere in its node, and so do the other lobes of a ball,
 /// none of which hides another's light. With 0, 1, 2 and 4 a fire of small balls sends 2.7, 1.8, 1.4 and 1.2 % too little light at the default cut, and has
-/// an error of 4.5, 3.7, 3.5 and 3.4 %; scenes of walls do not change.
+/// an error of 4.5, 3.7, 3.5 and 3.4 %; scenes of walls do not change. Where rasters are coarse, balls before others shine through: pictures of 960 pixels, interpolated, at 0.6 sr
+/// and 8 texels have 4.0 % with 0, 4.5 with 0.5, 5.0 with 1 and 5.6 with 2; at 0.1 sr and 16 texels 3.5, 3.0, 2.75 and 2.75 %.
 const BENT_DEPTH: f32 = 2.0;
 
 /// The same for rectangles and triangles, whose neighbors' planes differ by what rounding turns them by. Before a facade with things in its wall, where
