@@ -51,7 +51,7 @@ impl NarrowOutline {
 /// The outlines of a lobe.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Outlines {
-    /// What is drawn in its plane has one, seen along [`LobeSum::stencil_axis`]; so have solid things and loose surfels, however round.
+    /// What is drawn in its plane has one, seen along the axis nearest to its normal; so have solid things and loose surfels, however round.
     Plane(Outline),
     /// Sheets that are round have one along each axis, of squares of four cells.
     Views([NarrowOutline; 3]),
@@ -111,6 +111,7 @@ impl LeafOutlines {
 }
 
 /// The outlines of a lobe of an inner node while they are summed.
+#[expect(clippy::large_enum_variant, reason = "nearly all are the large one")]
 pub(crate) enum InnerOutlines {
     /// Seen along this axis.
     Plane(usize, StencilSum),
