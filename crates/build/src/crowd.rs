@@ -14,10 +14,10 @@ use std::f64::consts::PI;
 pub(crate) struct Crowd {
     /// Σ *a*: areas that they show, on the mean over all directions.
     shown: f64,
-    /// Σ *a* **x**.
-    moment: DVec3,
-    /// Σ *a* |**x**|².
-    second: f64,
+    /// Σ *a* **x** / Σ *a*.
+    place: DVec3,
+    /// Mean variance of places along an axis.
+    variance: f64,
     /// Area that is hidden.
     hidden: f64,
 }
@@ -31,7 +31,7 @@ impl Crowd {
     fn of_surfel(surfel: &Surfel) -> Self {
         let sides = if surfel.is_isotropic() || surfel.is_front_only() { 1.0 } else { 2.0 };
         let (shown, place) = (0.25 * sides * lobe_area(surfel), surfel.center().as_dvec3());
-        Self { shown, moment: place * shown, second: place.length_squared() * shown, hidden: 0.0 }
+        Self { shown, place, variance: 0.0, hidden: 0.0 }
     }
 
     /// Of a leaf's surfels those that are loose, if there are any.
@@ -43,34 +43,28 @@ impl Crowd {
 
     /// All of a node's parts together, if there are any.
     pub fn of_parts<'s>(parts: impl Iterator<Item = &'s Self> + Clone) -> Option<Self> {
-        let mut rest = parts.clone();
-        let mut sum = *rest.next()?;
-        for (before, part) in (1..).zip(rest) {
+        let shown: f64 = parts.clone().map(|part| part.shown).sum();
+        if shown == 0.0 {
+            return None;
+        }
+        let place = parts.clone().map(|part| part.place * (part.shown / shown)).sum();
+        let mut sum = Self { shown, place, ..Self::default() };
+        for (before, part) in parts.clone().enumerate() {
             for other in parts.clone().take(before) {
                 sum.hidden += part.hidden_with(other);
             }
-            sum.shown += part.shown;
-            sum.moment += part.moment;
-            sum.second += part.second;
+            let apart = (part.place - place).length_squared() * (1.0 / 3.0);
+            sum.variance += (part.variance + apart) * (part.shown / shown);
             sum.hidden += part.hidden;
         }
         Some(sum)
     }
 
-    fn place(&self) -> DVec3 {
-        self.moment / self.shown
-    }
-
-    /// Mean variance of places along an axis.
-    fn variance(&self) -> f64 {
-        ((self.second / self.shown - self.place().length_squared()) * (1.0 / 3.0)).max(0.0)
-    }
-
     /// Area that two parts hide of each other.
     fn hidden_with(&self, other: &Self) -> f64 {
-        let distance2 = (self.place() - other.place()).length_squared();
+        let distance2 = (self.place - other.place).length_squared();
         // 1/r² has the Laplacian 2/r⁴. Parts that reach into each other are near as well.
-        let more = (self.variance() + other.variance()) / distance2.max(f64::MIN_POSITIVE);
+        let more = (self.variance + other.variance) / distance2.max(f64::MIN_POSITIVE);
         let more = more.min(1.0);
         self.shown * share(other.shown, distance2, more)
             + other.shown * share(self.shown, distance2, more)

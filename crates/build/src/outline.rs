@@ -66,8 +66,7 @@ impl Default for Outlines {
 /// The outlines of a lobe of a leaf while they are summed.
 #[expect(clippy::large_enum_variant, reason = "nearly all are the large one")]
 pub(crate) enum LeafOutlines {
-    /// Seen along this axis.
-    Plane(usize, StencilSum),
+    Plane(StencilSum),
     /// Areas seen along the axes, spread over the box: a leaf's surfels are too few to tell where a round thing ends.
     Whole([f32; 3]),
 }
@@ -78,15 +77,14 @@ impl LeafOutlines {
         if has_views(lobe) {
             return Self::Whole([0.0; 3]);
         }
-        let axis = lobe.stencil_axis();
-        Self::Plane(axis, StencilSum::new(bounds, axis))
+        Self::Plane(StencilSum::new(bounds, lobe.stencil_axis()))
     }
 
     /// Adds a surfel with this box, whose normal was decoded before.
     pub fn add(&mut self, surfel: &Surfel, normal: Vec3, bounds: &Aabb) {
         let seen = if surfel.is_isotropic() { Vec3::splat(0.5) } else { normal.abs() };
         match self {
-            Self::Plane(axis, sum) => sum.add(bounds, surfel.area * seen[*axis]),
+            Self::Plane(sum) => sum.add(bounds, surfel.area * seen[sum.axis()]),
             Self::Whole(areas) => {
                 for (sum, seen) in areas.iter_mut().zip(seen.to_array()) {
                     *sum += surfel.area * seen;
@@ -97,7 +95,7 @@ impl LeafOutlines {
 
     pub fn finish(self, lobe: &LobeSum, bounds: &Aabb) -> Outlines {
         match self {
-            Self::Plane(_, sum) => plane_outline(sum, lobe, StencilSum::finish_narrow),
+            Self::Plane(sum) => plane_outline(sum, lobe, StencilSum::finish_narrow),
             Self::Whole(areas) => {
                 let edges = 2.0 * thick_half(bounds.min, bounds.max);
                 Outlines::Views(std::array::from_fn(|axis| {
@@ -113,8 +111,7 @@ impl LeafOutlines {
 /// The outlines of a lobe of an inner node while they are summed.
 #[expect(clippy::large_enum_variant, reason = "nearly all are the large one")]
 pub(crate) enum InnerOutlines {
-    /// Seen along this axis.
-    Plane(usize, StencilSum),
+    Plane(StencilSum),
     Views(Box<[StencilSum; 3]>),
 }
 
@@ -125,8 +122,7 @@ impl InnerOutlines {
             let sums = std::array::from_fn(|axis| StencilSum::new(bounds, axis));
             return Self::Views(Box::new(sums));
         }
-        let axis = lobe.stencil_axis();
-        Self::Plane(axis, StencilSum::new(bounds, axis))
+        Self::Plane(StencilSum::new(bounds, lobe.stencil_axis()))
     }
 
     /// Adds a lobe of a child with this box.
@@ -138,8 +134,8 @@ impl InnerOutlines {
             Outlines::Views(views) => (views[axis].whole(), axis),
         };
         match self {
-            Self::Plane(axis, sum) => {
-                let (outline, axis) = seen_along(*axis);
+            Self::Plane(sum) => {
+                let (outline, axis) = seen_along(sum.axis());
                 sum.add_stencil(outline.stencil, axis, bounds, outline.share());
             }
             Self::Views(sums) => {
@@ -157,7 +153,7 @@ impl InnerOutlines {
 
     pub fn finish(self, lobe: &LobeSum) -> Outlines {
         match self {
-            Self::Plane(_, sum) => plane_outline(sum, lobe, |sum, least| sum.finish(least)),
+            Self::Plane(sum) => plane_outline(sum, lobe, |sum, least| sum.finish(least)),
             Self::Views(sums) => Outlines::Views(sums.map(|sum| {
                 let (stencil, covered) = sum.finish_narrow(ROUND_CELL);
                 NarrowOutline { stencil: stencil.to_narrow().unwrap_or(u16::MAX), covered }

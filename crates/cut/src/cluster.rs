@@ -160,15 +160,16 @@ impl Cluster {
         if areas.backs > 0.0 && areas.fronts >= HIDING * areas.backs {
             added = drop_backs(&shown, lobes, &mut order);
         }
+        let mut sheets = 0.0;
         if areas.sheets > 0.0 {
-            thin_sheets(&mut shown, lobes, areas.sheets, box_silhouette(half, toward_receiver));
+            let silhouette = box_silhouette(half, toward_receiver);
+            sheets = thin_sheets(&mut shown, lobes, areas.sheets, silhouette);
         }
         sort(&mut order);
         let margin = Self::REACH * (high - low).max_element();
         (self.low, self.high) = (low - margin, high + margin);
         self.spread = half.length() * inverse_distance;
         self.count = 0;
-        let round = RoundView::of(&shown, &areas, center);
         // By solid things, and by sheets.
         let (mut covered, mut sheets_seed) = ([0.0; 2], None);
         for place in order {
@@ -199,7 +200,10 @@ impl Cluster {
                 axis: known.axis,
                 seed,
             };
-            let opacity = round.show(seen, known, piece);
+            let mut opacity = seen.opacity;
+            if seen.is_sheet && !seen.is_flat {
+                opacity = view_sheet(piece, seen, lobe.stencil, center, sheets);
+            }
             let closed = if seen.is_sheet { SHEET_CLOSED } else { SOLID_CLOSED };
             if seen.is_loose {
                 piece.seed = lobe_seed(seed, number);
@@ -292,38 +296,16 @@ fn thin_loose(
     }
 }
 
-/// How the round sheets of a node are drawn: in the outlines that they have along the axis nearest to the line of sight.
-struct RoundView {
-    axis: usize,
-    /// Share of the whole section that all sheets cover.
-    sheets: f32,
-}
-
-impl RoundView {
-    #[inline(always)]
-    fn of(shown: &ShownLobes, areas: &Areas, center: Vec3) -> Self {
-        let mut sheets = 0.0;
-        if areas.sheets > 0.0 {
-            for seen in shown {
-                sheets += if seen.is_sheet && !seen.is_flat { seen.opacity } else { 0.0 };
-            }
-        }
-        Self { axis: stencil_axis(center), sheets }
-    }
-
-    /// Gives a lobe's piece its outline, and tells which share of that it covers. Sheets that cover more than their outline are what encloses a box: seen at a slant,
-    /// they hide all of it.
-    #[inline(always)]
-    fn show(&self, seen: &Shown, known: &KnownLobe, piece: &mut Piece) -> f32 {
-        if seen.is_flat || !seen.is_sheet {
-            return seen.opacity;
-        }
-        let stencil = known.lobe.stencil.view(self.axis);
-        let share = stencil.share();
-        let fits = self.sheets < share;
-        (piece.stencil, piece.axis) = (if fits { stencil } else { Stencil::FULL }, self.axis as u8);
-        if fits { seen.opacity / share } else { seen.opacity }
-    }
+/// Gives the piece of a round sheet the outline that it has along the axis nearest to the line of sight, and tells which share of that it covers; `sheets` is the share of
+/// the whole section that all of the node cover. Sheets that cover more than their outline are what encloses a box: seen at a slant, they hide all of it.
+#[inline(always)]
+fn view_sheet(piece: &mut Piece, seen: &Shown, views: Stencil, center: Vec3, sheets: f32) -> f32 {
+    let axis = stencil_axis(center);
+    let stencil = views.view(axis);
+    let share = stencil.share();
+    let fits = sheets < share;
+    (piece.stencil, piece.axis) = (if fits { stencil } else { Stencil::FULL }, axis as u8);
+    if fits { seen.opacity / share } else { seen.opacity }
 }
 
 /// Share of the backs' area that fronts must show to hide them.
@@ -455,19 +437,22 @@ fn see_round(
 }
 
 /// Lets the round sheets of a node cover `1 − e^−Ωτ` of its box's silhouette, where their area is `τ` times that: leaves hide each other, and the clumping
-/// index Ω tells how much. Flat ones are drawn as they are: where they overlap, the raster finds.
+/// index Ω tells how much. Flat ones are drawn as they are: where they overlap, the raster finds. Returns the share of the section that all of them cover.
 #[inline(always)]
-fn thin_sheets(shown: &mut ShownLobes, lobes: &[KnownLobe], total: f32, silhouette: f32) {
+fn thin_sheets(shown: &mut ShownLobes, lobes: &[KnownLobe], total: f32, silhouette: f32) -> f32 {
     let is_round = |seen: &Shown| seen.is_sheet && !seen.is_flat;
     // All of a node have the same index.
     let first = shown.iter().zip(lobes).find(|(seen, _)| is_round(seen));
-    let Some((_, known)) = first else { return };
+    let Some((_, known)) = first else { return 0.0 };
     let depth = known.lobe.clumping() * total / silhouette;
     let kept = (known.lobe.clumping() * unhidden(depth)).min(1.0);
+    let mut sheets = 0.0;
     for seen in shown.iter_mut().filter(|seen| is_round(seen)) {
         seen.opacity *= kept;
         seen.solid_angle *= kept;
+        sheets += seen.opacity;
     }
+    sheets
 }
 
 #[cfg(test)]

@@ -137,6 +137,12 @@ impl StencilSum {
         Self { axis, cells: Cells::new(bounds, axis), covered, open }
     }
 
+    /// The axis along which it is seen.
+    #[must_use]
+    pub fn axis(&self) -> usize {
+        self.axis
+    }
+
     /// Adds something of this area, seen along the axis, that is spread evenly over a box.
     pub fn add(&mut self, bounds: &Aabb, area: f32) {
         let (a, b) = ((self.axis + 1) % 3, (self.axis + 2) % 3);
